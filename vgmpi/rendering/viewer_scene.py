@@ -22,13 +22,13 @@ class ViewerCamera(NamedTuple):
     position: tuple[float, float, float]  # eye [cells]
     look_at: tuple[float, float, float]  # point about which a viewer turns [cells]
     fov: float  # vertical field of view [rad]
-    near: float  # distance of the near plane [cells]
-    far: float  # distance of the far plane [cells]
+    near_plane: float  # distance [cells]
+    far_plane: float  # distance [cells]
 
     def set_as(self, camera: Any) -> None:
         """Make a camera of viser this one, the first of all viewers or that of one."""
-        for name, value in self._asdict().items():
-            setattr(camera, name, value)
+        camera.position, camera.look_at = self.position, self.look_at
+        camera.fov, camera.near, camera.far = self.fov, self.near_plane, self.far_plane
 
 
 def viewer_camera(camera: Camera, box: tuple[np.ndarray, np.ndarray], cell: float) -> ViewerCamera:
@@ -45,8 +45,8 @@ def viewer_camera(camera: Camera, box: tuple[np.ndarray, np.ndarray], cell: floa
     position, look_at = (
         tuple((point / cell).tolist()) for point in (camera.eye, camera.axis_point(center))
     )
-    near, far = NEAR_DISTANCE * reach, FAR_DISTANCE * reach
-    return ViewerCamera(position, look_at, camera.vertical_fov(), near, far)
+    planes = NEAR_DISTANCE * reach, FAR_DISTANCE * reach
+    return ViewerCamera(position, look_at, camera.vertical_fov(), *planes)
 
 
 def show_domain(scene: Any, box: tuple[np.ndarray, np.ndarray], cell: float) -> None:

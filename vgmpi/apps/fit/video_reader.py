@@ -80,9 +80,9 @@ def _time_stamps(path: Path) -> np.ndarray:
     command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-i", f"file:{path.resolve()}"]
     # packets as they are, with a line of text for each
     command += ["-an", "-c:v", "copy", "-frames:v", f"{MAX_PICTURES}", "-f", "framecrc", "-"]
-    told = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True).stdout
+    text = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True).stdout
     unit, stamps = 0.0, []
-    for line in told.splitlines():
+    for line in text.splitlines():
         if line.startswith("#tb 0:"):
             numerator, denominator = line.removeprefix("#tb 0:").split("/")
             unit = int(numerator) / int(denominator)
