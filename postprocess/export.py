@@ -18,7 +18,7 @@ import numpy as np
 from tqdm import tqdm
 
 from vgmpi.gaussians.cloud import GaussianCloud, principal_axes
-from vgmpi.gaussians.formats import registry, sog
+from vgmpi.gaussians.formats import registry, sog, spz
 from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.rendering import image_io, render_config
 from vgmpi.rendering.appearance import Appearance
@@ -140,6 +140,8 @@ def parser() -> argparse.ArgumentParser:
     )
     up = "axis that points up in the file; --up=-y for captures [z; y in .glb and .obj]"
     p.add_argument("--up", choices=UP, help=up)
+    version = f"version of .spz files [{spz.DEFAULT_VERSION}, which most viewers read]"
+    p.add_argument("--spz-version", type=int, choices=spz.WRITTEN_VERSIONS, help=version)
     p.add_argument("--no-scenery", action="store_true", help="leave out scenery")
     accuracy = f"largest error of a position in a page, in cells [{export_moving.ACCURACY}]"
     p.add_argument("--accuracy", type=float, help=accuracy)
@@ -180,6 +182,8 @@ def _export(args: argparse.Namespace, folder: Path) -> None:
     formats = [*GAUSSIAN_FORMATS, *export_moving.KINDS, point_export.FORMAT]
     surface_export.check_arguments(args, formats)
     export_moving.check_flags(args)
+    if args.spz_version is not None and args.format != "spz":
+        raise RunError("--spz-version: allowed with --format spz")
     run = RunReader(args.out)
     numbers = run.available_frames(selected_frames(args.frames, len(run)))
     if args.format in export_moving.KINDS:
@@ -194,7 +198,7 @@ def _export(args: argparse.Namespace, folder: Path) -> None:
         surface_export.export_surfaces(run, look, numbers, args, UP[up], folder)
         return
     folder.mkdir(parents=True, exist_ok=True)
-    suffix = f".{args.format}"
+    suffix, version = f".{args.format}", args.spz_version or spz.DEFAULT_VERSION
     reported: set[str] = set()
     for index in tqdm(numbers, unit="frame", disable=True if args.quiet else None):
         gaussians = cloud(look, look.frame(index), not args.no_scenery)
@@ -205,7 +209,7 @@ def _export(args: argparse.Namespace, folder: Path) -> None:
             if kind not in reported:  # each kind is reported once
                 log.warning("frame %d: %s", index, line)
                 reported.add(kind)
-        registry.write(folder / f"frame_{index:05d}{suffix}", gaussians)
+        registry.write(folder / f"frame_{index:05d}{suffix}", gaussians, version)
     log.info("%d files of %d Gaussians", len(numbers), len(gaussians))
 
 

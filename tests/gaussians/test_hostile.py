@@ -22,7 +22,12 @@ CASES = hostile_gaussians.cases()
 GOOD = {
     ".ply": [hostile_gaussians.GOOD, hostile_gaussians.PACKED],
     ".splat": [written.splat([hostile_gaussians.HONEST] * 3)],
-    ".spz": [hostile_gaussians.SPZ_GOOD],
+    ".spz": [
+        hostile_gaussians.SPZ_GOOD,
+        hostile_gaussians.SPZ_EXTENDED,
+        hostile_gaussians.SPZ4_GOOD,
+        hostile_gaussians.SPZ4_EXTENDED,
+    ],
 }
 
 # reads the files of a folder; the peak memory is the kernel's, set back before each file
@@ -117,7 +122,7 @@ def test_an_unknown_kind(tmp_path, name):
 
 def test_the_good_ones_are_good(tmp_path):
     """The tables of cases spoil these: they must be readable before."""
-    for suffix, counts in ((".ply", (2, 5)), (".splat", (3,)), (".spz", (50,))):
+    for suffix, counts in ((".ply", (2, 5)), (".splat", (3,)), (".spz", (50,) * 4)):
         path = tmp_path / f"GOOD{suffix.upper()}"
         for data, count in zip(GOOD[suffix], counts):
             path.write_bytes(data)

@@ -10,8 +10,8 @@ from vgmpi.preprocess.crop import crop
 from vgmpi.preprocess.inspect_file import describe_file
 from vgmpi.preprocess.placement import PlacementError
 from vgmpi.runtime.config.schema import SceneError
+from vgmpi.scene.captures import Select
 from vgmpi.scene.loader import load
-from vgmpi.scene.selection import Select
 
 
 @pytest.fixture
@@ -54,7 +54,7 @@ def test_all_columns_of_integers_are_kept(read, form):
 def test_a_label_with_fractions_is_left_out(read):
     cloud = read(table(columns(label=("float", [1.0, 2.5, 3.0]))))
     assert not cloud.labels
-    assert cloud.record.omissions == ("the column 'label', which is not a column of integers",)
+    assert cloud.record.omissions == ("the column 'label' holds no integers and is left out",)
 
 
 def test_rows_that_are_dropped_take_their_labels_along(read):

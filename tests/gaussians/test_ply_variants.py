@@ -1,6 +1,5 @@
 """Gaussian .ply files as trainers and editors write them, value by value from their layouts."""
 
-import logging
 import struct
 
 import numpy as np
@@ -13,7 +12,7 @@ from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import registry
 from vgmpi.gaussians.formats.ply_columns import apply_filter
 from vgmpi.gaussians.formats.validation import read_validated
-from vgmpi.gaussians.spherical_harmonics import C0, truncate_degree
+from vgmpi.gaussians.spherical_harmonics import C0
 from vgmpi.preprocess.inspect_file import describe_file
 
 
@@ -153,26 +152,12 @@ def test_constant_coefficients_win_over_colors(read):
     assert not cloud.labels
 
 
-def test_colors_above_degree_3_are_dropped_with_a_warning(read, caplog):
+def test_colors_above_degree_3_are_left_out(read):
     """Coefficient k of channel c of degree 4 is f_rest_{24 c + k}; 15 of 24 remain."""
-    with caplog.at_level(logging.WARNING, "vgmpi"):
-        cloud = read(table(columns(rest=72)))
+    cloud = read(table(columns(rest=72)))
     want = np.arange(15)[:, None] + 24 * np.arange(3)
     np.testing.assert_array_equal(cloud.sh[0, 1:], want)
-    assert [r.getMessage().endswith("colors of degree 4 are left out") for r in caplog.records] == [
-        True
-    ]
-    assert cloud.record.omissions == ("colors of degree 4",)
-
-
-def test_truncation_of_the_degree():
-    sh = np.arange(2 * 25 * 3, dtype=np.float32).reshape(2, 25, 3)
-    part, dropped = truncate_degree(sh)
-    np.testing.assert_array_equal(part, sh[:, :16])
-    assert dropped == 9
-    for k in (1, 4, 9, 16):
-        assert truncate_degree(sh[:, :k])[0].shape == (2, k, 3)
-        assert truncate_degree(sh[:, :k])[1] == 0
+    assert cloud.record.omissions == ("colors of degree 4 are left out, the highest is 3",)
 
 
 def compressed(n=300, rest=None, head=lambda text: text):
@@ -192,12 +177,12 @@ def test_a_compressed_file_of_degree_0_with_an_empty_element(read):
     assert alone.record.encoding == ".ply, SuperSplat's compressed layout"
 
 
-def test_a_compressed_file_of_degree_4(read, caplog):
+def test_a_compressed_file_of_degree_4(read):
     rest = np.random.default_rng(0).integers(0, 256, (300, 72))
     cloud = read(compressed(rest=rest))
     want = (rest.reshape(300, 3, 24).transpose(0, 2, 1)[:, :15] / 255 - 0.5) * 8
     assert np.abs(cloud.sh[:, 1:] - want).max() <= 8 / 255
-    assert "colors of degree 4 are left out" in caplog.text
+    assert "colors of degree 4 are left out" in cloud.record.omissions[0]
 
 
 @pytest.mark.parametrize(
@@ -284,7 +269,7 @@ def test_rows_that_are_dropped_are_recorded(read):
     cloud = read(table(columns(n=500, x=("float", x))))
     assert len(cloud) == 499
     assert cloud.record.omissions == (
-        "1 Gaussians that are not finite (or above 1e18), have no size or no rotation",
+        "1 Gaussians that are not finite (or above 1e18), have no size or no rotation are left out",
     )
 
 
@@ -326,6 +311,9 @@ def test_values_that_are_clamped_are_counted():
         return scale[a:b], quat[a:b], scale[a:b], opacity[a:b], np.zeros((b - a, 1, 3))
 
     cloud = read_validated(n, decoded, CaptureRecord(encoding="by hand", omissions=("a thing",)))
-    assert cloud.record.omissions == ("a thing", "opacities outside of 0..1 of 2 Gaussians")
+    assert cloud.record.omissions == (
+        "a thing",
+        "opacities outside of 0..1 of 2 Gaussians are clamped",
+    )
     np.testing.assert_array_equal(cloud.opacity[[3, 17_000, 19_000]], [1, 0, 1])
     assert read_validated(n, decoded).record is None

@@ -19,7 +19,7 @@ from vgmpi.preprocess.sampling.voxels import (
     volumes,
 )
 from vgmpi.preprocess.scene_builder import build_scene
-from vgmpi.scene.selection import Select
+from vgmpi.scene.captures import Select
 
 MIDDLE = np.array([0.313, 0.271, 0.226])
 

@@ -168,6 +168,8 @@ def test_frame_numbers(text, want):
         (["{out}", "--frames", "all"], "first:last:every"),
         (["{out}", "--frames", "1:2:3:4"], "first:last:every"),
         (["{out}", "-o", "{file}"], "File exists"),
+        (["{out}", "--spz-version", "4"], "allowed with --format spz"),
+        (["{out}", "--format", "web", "--spz-version", "4"], "allowed with --format spz"),
     ],
 )
 def test_mistakes_end_with_code_2_and_one_line(out, tmp_path, capfd, argv, says):
@@ -176,6 +178,17 @@ def test_mistakes_end_with_code_2_and_one_line(out, tmp_path, capfd, argv, says)
     assert export.main([a.format(**places) for a in ["-q", *argv]]) == 2
     text = capfd.readouterr().err.strip()
     assert says in text and "\n" not in text
+
+
+@pytest.mark.parametrize("version, argv", [(3, []), (3, ["3"]), (4, ["4"])])
+def test_versions_of_spz(out, tmp_path, version, argv):
+    """The newest is written on demand: fewer viewers read it."""
+    flags = ["--spz-version", *argv] if argv else []
+    command = [str(out), "--frames", "1", "--format", "spz", "-q", "-o", str(tmp_path), *flags]
+    assert export.main(command) == 0
+    path = tmp_path / "frame_00001.spz"
+    assert path.read_bytes()[:4] == (b"NGSP" if version == 4 else b"\x1f\x8b\x08\0")
+    assert registry.read(path).record.encoding == f".spz, version {version}"
 
 
 def test_what_a_format_loses_is_said(tmp_path):

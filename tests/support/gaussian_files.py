@@ -144,16 +144,16 @@ def spz_sections(rows, version=3):
     return [first] + [bytes(v for row in rows for v in row[k]) for k in range(1, 6)]
 
 
-def spz(rows, version=3, **header):
-    """The bytes of a .spz file of version 1 to 3."""
+def spz(rows, version=3, records=b"", **header):
+    """The bytes of a .spz file of version 1 to 3; records: extension records."""
     head = spz_header(len(rows), version, **header)
-    return gzip.compress(head + b"".join(spz_sections(rows, version)), 6)
+    return gzip.compress(head + b"".join(spz_sections(rows, version)) + records, 6)
 
 
-def spz4(rows, pack, **header):
+def spz4(rows, pack, records=b"", **header):
     """The bytes of a .spz file of version 4; pack: zstd's compression."""
     sections = [section for section in spz_sections(rows) if section]
     packed = [pack(section) for section in sections]
     head = spz_header(len(rows), 4, streams=len(sections), **header)
     table = b"".join(struct.pack("<QQ", len(p), len(s)) for p, s in zip(packed, sections))
-    return head + struct.pack("<I12x", 32) + table + b"".join(packed)
+    return head + struct.pack("<I12x", 32 + len(records)) + records + table + b"".join(packed)

@@ -5,6 +5,7 @@ import struct
 import zlib
 
 import numpy as np
+import zstandard
 
 from tests.support import gaussian_files
 
@@ -230,17 +231,23 @@ SPLAT = {
 
 SPZ_ROW = ((1, 2, 3), (9,), (1, 2, 3), (150, 150, 150), (0, 0, 0, 192), ())
 SPZ_GOOD = gaussian_files.spz([SPZ_ROW] * 50)
+# a camera's limits and the frame RUB
+SPZ_RECORDS = struct.pack("<IIfff", 0xADBE0002, 12, 0, 1, 1) + struct.pack("<III", 0xADBE0003, 4, 4)
+ZSTD = zstandard.ZstdCompressor().compress
+SPZ_EXTENDED = gaussian_files.spz([SPZ_ROW] * 50, records=SPZ_RECORDS, flags=2)
+SPZ4_GOOD = gaussian_files.spz4([SPZ_ROW] * 50, ZSTD)
+SPZ4_EXTENDED = gaussian_files.spz4([SPZ_ROW] * 50, ZSTD, records=SPZ_RECORDS, flags=3)
 
 
 def spz_header(count=1, data=bytes(20), **header):
     return gzip.compress(gaussian_files.spz_header(count, **header) + data, 1)
 
 
-def spz_bomb(path, count, size):
+def spz_bomb(path, count, size, flags=0):
     """A header and `size` zeros: a thousandth of them as a file."""
     packer = zlib.compressobj(1, zlib.DEFLATED, 31)
     with open(path, "wb") as file:
-        file.write(packer.compress(gaussian_files.spz_header(count)))
+        file.write(packer.compress(gaussian_files.spz_header(count, flags=flags)))
         for _ in range(size >> 20):
             file.write(packer.compress(bytes(1 << 20)))
         file.write(packer.flush())
@@ -275,13 +282,12 @@ SPZ = {
 }
 
 
-def spz4(pack):
-    """Files of version 4; pack: zstd's compression."""
-    good = gaussian_files.spz4([SPZ_ROW] * 50, pack)
-    table = 32
+def spz4():
+    """Files of version 4."""
+    good, table = SPZ4_GOOD, 32
 
     def bomb(path):
-        zeros = pack(bytes(300 << 20))
+        zeros = ZSTD(bytes(300 << 20))
         first = struct.pack("<QQ", len(zeros), 450)
         path.write_bytes(good[:table] + first + good[table + 16 : table + 80] + zeros)
 
@@ -289,6 +295,16 @@ def spz4(pack):
         "4: no streams": (good[:15] + b"\0" + good[16:], "no table"),
         "4: 255 streams": (good[:15] + b"\xff" + good[16:], "no table"),
         "4: a table beyond the end": (good[:16] + b"\xff" * 4 + good[20:], "no table"),
+        "4: a table in the header": (good[:16] + struct.pack("<I", 8) + good[20:], "no table"),
+        "4: a table beyond 2 GB of records": (
+            SPZ4_EXTENDED[:16] + struct.pack("<I", 2**31) + SPZ4_EXTENDED[20:],
+            "no table",
+        ),
+        "4: a table in the records": (
+            SPZ4_EXTENDED[:16] + struct.pack("<I", 40) + SPZ4_EXTENDED[20:],
+            "a stream of",
+        ),
+        "4: a byte too many": (good + b"x", "more than its streams"),
         "4: cut in the header": (good[:25], "header"),
         "4: cut": (good[:-3], "zstd|length"),
         "4: a stream too long": (
@@ -336,13 +352,7 @@ def damaged(count=200, seed=8):
 
 def cases():
     """(suffix, name) -> (bytes or what makes the file, what is said)."""
-    kinds = {".ply": PLY, ".splat": SPLAT, ".spz": dict(SPZ)}
-    try:
-        import zstandard
-    except ImportError:
-        pass
-    else:
-        kinds[".spz"].update(spz4(zstandard.ZstdCompressor().compress))
+    kinds = {".ply": PLY, ".splat": SPLAT, ".spz": SPZ | spz4()}
     return {(suffix, name): case for suffix, bad in kinds.items() for name, case in bad.items()}
 
 

@@ -1,4 +1,4 @@
-"""Facts that a reader learned of a capture's file: told by inspect, check and runs."""
+"""Facts about a capture that its reader learned of the file, told by inspect, check and runs."""
 
 from dataclasses import dataclass
 
@@ -9,8 +9,9 @@ class CaptureRecord:
 
     Attributes:
         encoding: Format and version, such as ".spz, version 4".
-        frame: Directions of x, y and z, such as "RDF" (right, down, forward); empty if the file
-            does not say.
+        frame: Directions of x, y and z of the file, such as "RDF" (right, down, forward); empty
+            if the file does not say. A reader returns the numbers as they are, and the registry
+            turns the cloud to RDF.
         frame_source: Why this frame was taken, as a clause; empty if nothing was to be decided.
         render_model_source: Why the Gaussians count as antialiased or not, as a clause; empty if
             the file does not say.

@@ -61,19 +61,6 @@ def basis(directions: np.ndarray, count: int) -> np.ndarray:
     return out
 
 
-def truncate_degree(sh: np.ndarray) -> tuple[np.ndarray, int]:
-    """Remove the coefficients above degree 3, which is the highest that a cloud holds.
-
-    Args:
-        sh: Coefficients of a complete degree, shape (n, K, 3).
-
-    Returns:
-        Coefficients up to degree 3, a view of `sh`, and the number of coefficients per channel
-        that were removed.
-    """
-    return sh[:, : COEFFICIENTS[-1]], max(sh.shape[1] - COEFFICIENTS[-1], 0)
-
-
 def evaluate(sh: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Return the colors (n, 3) >= 0 of `sh` (n, K, 3) seen along `directions` (n, 3).
 
@@ -89,12 +76,25 @@ def evaluate(sh: np.ndarray, directions: np.ndarray) -> np.ndarray:
     return np.maximum(np.einsum("nk,nkc->nc", basis(d, sh.shape[1]), sh) + 0.5, 0.0)
 
 
+def limit_degree(sh: np.ndarray) -> np.ndarray:
+    """Return coefficients (n, K, 3) of a file up to the highest degree that is drawn, 3."""
+    return sh[:, : COEFFICIENTS[-1]]
+
+
+def degree_omissions(degree: int) -> tuple[str, ...]:
+    """Return a clause on the colors of a file of some degree that `limit_degree` leaves out."""
+    limit = len(COEFFICIENTS) - 1
+    if degree <= limit:
+        return ()
+    return (f"colors of degree {degree} are left out, the highest is {limit}",)
+
+
 def rotate(sh: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     """Return the coefficients (n, K, 3) after a rotation (3, 3) or (n, 3, 3) of the Gaussians.
 
     The rotated object shows towards d what it showed towards R^T d before. Both sides lie in the
     span of one degree's functions, so values at a few fixed directions give the new coefficients
-    exactly (no Wigner matrices).
+    exactly (no Wigner matrices). This holds for matrices that mirror, too.
     """
     sh = np.asarray(sh)
     count = sh.shape[1]

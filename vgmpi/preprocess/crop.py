@@ -7,7 +7,7 @@ import scipy
 
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.runtime.suggestions import did_you_mean
-from vgmpi.scene.selection import Select
+from vgmpi.scene.captures import Select
 
 from .placement import PlacementError
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from vgmpi.gaussians.capture_notes import capture_notes
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import registry
 from vgmpi.gaussians.formats.registry import GaussianFileError
@@ -43,14 +44,20 @@ def _gaussians(path: Path) -> str:
     degree = math.isqrt(cloud.sh.shape[1]) - 1
     low, middle, high = np.percentile(cloud.opacity, [5, 50, 95])
     scale = np.sort(cloud.scale, axis=1)
+    encoding = [f"  format   {cloud.record.encoding}"] if cloud.record else []
+    notes = [f"  note     {text}" for text in capture_notes(cloud)]
+    comments = [f"  comment  {text}" for text in cloud.record.comments] if cloud.record else []
     return "\n".join(
         [
             f"{path}: {len(cloud):,} Gaussians, colors of degree {degree}",
+            *encoding,
             f"  reaches  {_reach(cloud.x)}",
             f"  scale    {_middle(scale[:, 2])} along, {_middle(scale[:, 0])} across (medians)",
             f"  opacity  {middle:.2f} ({low:.2f} to {high:.2f} of nine in ten)",
             *_label_lines(cloud.labels),
             *_floaters(cloud),
+            *notes,
+            *comments,
         ]
     )
 

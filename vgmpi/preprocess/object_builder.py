@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vgmpi.gaussians.capture_notes import log_capture_notes
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import registry
 from vgmpi.gaussians.formats.validation import MAX_MAGNITUDE
@@ -197,7 +198,9 @@ def _from_mesh(scene: Scene, k: int, obj: Object) -> BuiltObject:
 def _from_gaussians(scene: Scene, k: int, obj: Object) -> BuiltObject:
     """Return an object made of a Gaussian file."""
     spacing = spacing_of(scene, obj)
-    cloud = crop(registry.read(scene.files[obj.name]), obj.select)
+    cloud = registry.read(scene.files[obj.name], obj.frame)
+    log_capture_notes(f"'{obj.name}'", cloud)
+    cloud = crop(cloud, obj.select)
     if not len(cloud):
         raise PlacementError("select", "selects no Gaussian of the file")
     floaters = capture_floaters(obj, cloud)

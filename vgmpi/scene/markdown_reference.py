@@ -12,6 +12,7 @@ from vgmpi.materials import couplings
 from vgmpi.runtime.config.schema import Quantity, compatible_units
 
 from . import (
+    captures,
     gravity,
     inlet_geometry,
     inlets_outlets,
@@ -24,7 +25,6 @@ from . import (
     resume_rules,
     rigid_motion,
     sections,
-    selection,
     shapes,
 )
 
@@ -90,7 +90,7 @@ def scene_reference() -> str:
         "cylinder and capsule": shapes.CylinderShape,
         "cone": shapes.Cone,
         "torus": shapes.Torus,
-        "select": selection.Select,
+        "select": captures.Select,
         "rotation": objects.Rotation,
         "velocity_mode": objects.VelocityMode,
         "volume_fraction_profile": objects.FractionProfile,

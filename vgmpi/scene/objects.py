@@ -18,13 +18,13 @@ from vgmpi.runtime.config.schema import (
 )
 from vgmpi.runtime.suggestions import did_you_mean
 
+from .captures import Frame, Select, validate_select
 from .initial_fields import FractionProfile, Spin, Velocity, VelocityMode
 from .keyframes import Time
 from .pinned_parts import PinnedPart, validate_pinned
 from .regions import Region, validate_regions
 from .rigid_motion import Motion, validate_motion
 from .rigid_objects import FreeBody, validate_rigid
-from .selection import Select, validate_select
 from .shapes import Axis, Shape, validate_shape
 from .slip_lengths import validate_slip_length
 from .thin_walls import validate_thin
@@ -105,6 +105,10 @@ class Object(StrictModel):
     texture of an .obj's material (map_Kd, beside it or below) or by its points"""
     shape: Shape | None = None
     """a solid made of simple shapes"""
+    frame: Frame | None = None
+    """directions of x, y and z in a capture (gaussians), one each of R/L, U/D and F/B (right, left,
+    up, down, forward, back), if they are not those of a .ply, "RDF": "RUB", for example. The
+    capture is turned to RDF before `select` and `up`. Default: what the file says, else "RDF\""""
     select: Select | None = None
     """which part of a capture (gaussians) to take"""
     up: Literal["x", "-x", "y", "-y", "z", "-z"] = "z"
@@ -301,7 +305,7 @@ def validate_object(raw: dict) -> list[tuple[tuple, str]]:
         errors.append(((), "needs a position (of the middle of its base) or an origin"))
     if sources == ["shape"]:
         errors += validate_shape(raw["shape"], ("shape",))
-    for key in ("select", "fill"):
+    for key in ("frame", "select", "fill"):
         if key in raw and sources and "gaussians" not in raw:
             errors.append(((key,), f"is only for objects made of gaussians, not of a {sources[0]}"))
     errors += validate_select(raw.get("select")) + _validate_pruning(raw, sources)

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from vgmpi.gaussians.capture_notes import log_capture_notes
 from vgmpi.gaussians.formats import registry
 from vgmpi.gaussians.formats.validation import GaussianFileError
 from vgmpi.runtime.config.schema import format_input
@@ -121,6 +122,7 @@ def _pose_from_file(
         raise ConvertError([str(error)]) from None
     except OSError as error:
         raise ConvertError([f"{file}: {error.strerror or error}"]) from None
+    log_capture_notes(file, cloud)
     points = cloud.x[cloud.opacity >= body.stand.opacity_threshold]
     rotation = rotation_matrix(body.stand)
     x = points @ rotation.T

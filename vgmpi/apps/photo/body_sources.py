@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from vgmpi.gaussians.capture_notes import log_capture_notes
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import registry
 from vgmpi.gaussians.formats.validation import GaussianFileError
@@ -249,7 +250,9 @@ def _read_body(file: Path) -> GaussianCloud:
         raise MeshError(f"{file}: allowed: a name that ends in {valid}")
     try:
         if suffix in registry.KINDS:
-            return registry.read(file)
+            cloud = registry.read(file)
+            log_capture_notes(file, cloud)
+            return cloud
     except GaussianFileError as error:
         if suffix != ".ply" or "mesh" not in str(error) and "not a cloud" not in str(error):
             raise

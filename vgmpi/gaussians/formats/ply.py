@@ -5,7 +5,6 @@ anything is allocated, so a broken or hostile file costs one line and no memory.
 units of the file.
 """
 
-import logging
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import numpy as np
 
 from vgmpi.gaussians.capture_record import CaptureRecord
 from vgmpi.gaussians.cloud import GaussianCloud
+from vgmpi.gaussians.spherical_harmonics import degree_omissions
 from vgmpi.runtime.atomic_write import replace_file
 
 from . import ply_columns, ply_compressed
@@ -20,8 +20,6 @@ from .ply_header import ENCODINGS, Header, find_render_model, read_header, selec
 from .ply_tables import VERTEX, Table, open_tables
 from .validation import Columns, GaussianFileError, naming_file, read_validated
 from .value_doubts import add_doubts
-
-log = logging.getLogger("vgmpi")
 
 _POINTS = (
     "is a cloud of points: Gaussians also have the properties scale_0 to scale_2 and rot_0 to"
@@ -61,8 +59,6 @@ def read(path: str | Path) -> GaussianCloud:
 
         record = _describe(header, tables, is_compressed)
         cloud = read_validated(vertex.row_count, decoded, record)
-        for omission in record.omissions:
-            log.warning("%s: %s are left out", path, omission)
         names = vertex.row.names or ()
         is_antialiased = find_render_model(header.comments)[0] and not ply_columns.is_flat(names)
         return add_doubts(
@@ -170,5 +166,5 @@ def _describe(header: Header, tables: dict[str, Table], is_compressed: bool) -> 
         render_model_source=find_render_model(header.comments)[1],
         has_filter_3d=not is_compressed and ply_columns.FILTER in (row.names or ()),
         comments=select_comments(header.comments),
-        omissions=("colors of degree 4",) if is_truncated else (),
+        omissions=degree_omissions(4) if is_truncated else (),
     )

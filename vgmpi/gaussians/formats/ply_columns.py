@@ -10,7 +10,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from vgmpi.gaussians.spherical_harmonics import dc_from_rgb, truncate_degree
+from vgmpi.gaussians.spherical_harmonics import dc_from_rgb, limit_degree
 
 from .validation import Columns, GaussianFileError
 
@@ -91,7 +91,7 @@ def join_coefficients(dc: np.ndarray, f_rest: np.ndarray | None) -> np.ndarray:
     if f_rest is None:
         return dc[:, None, :]
     higher = f_rest.reshape(len(dc), 3, -1).transpose(0, 2, 1)
-    return truncate_degree(np.concatenate([dc[:, None, :], higher], axis=1))[0]
+    return limit_degree(np.concatenate([dc[:, None, :], higher], axis=1))
 
 
 def integer_columns(rows: np.ndarray, others: Iterable[str] = ()) -> dict[str, np.ndarray]:

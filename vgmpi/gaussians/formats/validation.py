@@ -99,12 +99,14 @@ def read_validated(
         if not parts:
             _check_memory(count, [*part, *(labels[0].values() if labels else ())])
         parts.append(part)
-    if broken:
+    if broken and record is None:  # the record is told with the object's name
         log.warning("%d of %d Gaussians are %s: dropped", broken, count, what)
     integers, others = _join_labels(labels)
-    omissions = [f"{broken:,} Gaussians that are {what}"] if broken else []
-    omissions += [f"opacities outside of 0..1 of {clamped:,} Gaussians"] if clamped else []
-    omissions += [f"the column '{name}', which is not a column of integers" for name in others]
+    omissions = [f"{broken:,} Gaussians that are {what} are left out"] if broken else []
+    omissions += (
+        [f"opacities outside of 0..1 of {clamped:,} Gaussians are clamped"] if clamped else []
+    )
+    omissions += [f"the column '{name}' holds no integers and is left out" for name in others]
     if record is not None:
         record = replace(record, omissions=(*record.omissions, *omissions))
     x, quat, scale, opacity, sh = (np.concatenate(column) for column in zip(*parts))

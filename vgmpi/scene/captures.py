@@ -1,12 +1,15 @@
-"""Selection of the part of a capture that an object is made of."""
+"""Keys of objects made of Gaussian files: the axes of the file and the part of it to take."""
 
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator
 
+from vgmpi.gaussians.coordinate_frames import validate_frame
 from vgmpi.runtime.config.schema import Quantity, Share, StrictModel, Switch
 
 from .shapes import Corners, Sphere
+
+Frame = Annotated[str, BeforeValidator(validate_frame)]
 
 
 def _integers(value: Any) -> Any:
@@ -18,7 +21,9 @@ def _integers(value: Any) -> Any:
 
 
 class Select(StrictModel):
-    """Selection of Gaussians of a capture; lengths are in the file's own units and axes."""
+    """Selection of Gaussians of a capture; lengths are in the file's own units, axes those of a
+    .ply, after `frame`.
+    """
 
     box: Corners | None = None
     """keep the Gaussians inside: lower and upper corner"""
