@@ -269,7 +269,7 @@ def test_rows_that_are_dropped_are_recorded(read):
     cloud = read(table(columns(n=500, x=("float", x))))
     assert len(cloud) == 499
     assert cloud.record.omissions == (
-        "1 Gaussians that are not finite (or above 1e18), have no size or no rotation are left out",
+        "1 of 500 Gaussians are not finite (or above 1e18), have no size or no rotation: left out",
     )
 
 
