@@ -8,8 +8,8 @@
 # frame. None of the four writes the record SPZ_ADOBE_coordinate_system, which could say so.
 #
 # Seen: spz-js 1.2.5 (version 2), @playcanvas/splat-transform 3.7.0 (versions 3 and 4),
-# @adobe/spz 0.2.3 with its default frame, UNSPECIFIED (version 4) and gsply 0.4.6 (versions 3 and 4) store the
-# center (1, 2, 3) as (1, 2, 3).
+# @adobe/spz 0.2.3 with its default frame, UNSPECIFIED (version 4), and gsply 0.4.6 (versions 3 and
+# 4) store the center (1, 2, 3) as (1, 2, 3).
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

@@ -124,7 +124,8 @@ def pack_record(kind: int, content: bytes) -> bytes:
 
 def unpack_records(data: bytes) -> tuple[list[tuple[int, bytes]], bool]:
     """Return type and content of the extension records, and whether the block ends with one."""
-    records, start = [], 0
+    records: list[tuple[int, bytes]] = []
+    start = 0
     while start + _RECORD.size <= len(data):
         kind, size = _RECORD.unpack_from(data, start)
         start += _RECORD.size + size
