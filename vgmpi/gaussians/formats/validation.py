@@ -102,10 +102,11 @@ def read_validated(
     if broken and record is None:  # the record is told with the object's name
         log.warning("%d of %d Gaussians are %s: dropped", broken, count, what)
     integers, others = _join_labels(labels)
-    omissions = [f"{broken:,} Gaussians that are {what} are left out"] if broken else []
-    omissions += (
-        [f"opacities outside of 0..1 of {clamped:,} Gaussians are clamped"] if clamped else []
-    )
+    omissions = []
+    if broken:
+        omissions.append(f"{broken:,} of {count:,} Gaussians are {what}: left out")
+    if clamped:
+        omissions.append(f"opacities outside of 0..1 of {clamped:,} Gaussians are clamped")
     omissions += [f"the column '{name}' holds no integers and is left out" for name in others]
     if record is not None:
         record = replace(record, omissions=(*record.omissions, *omissions))
