@@ -18,7 +18,7 @@ import numpy as np
 from tqdm import tqdm
 
 from vgmpi.gaussians.cloud import GaussianCloud, principal_axes
-from vgmpi.gaussians.formats import registry, sog, spz
+from vgmpi.gaussians.formats import gltf, registry, sog, spz
 from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.rendering import image_io, render_config
 from vgmpi.rendering.appearance import Appearance
@@ -29,10 +29,7 @@ from . import export_moving, point_export, surface_export
 
 log = logging.getLogger("vgmpi")
 
-GAUSSIAN_FORMATS = [
-    suffix.removeprefix(".")
-    for suffix in (*registry.KINDS, registry.COMPRESSED, registry.GLTF, registry.SOG)
-]
+GAUSSIAN_FORMATS = [suffix.removeprefix(".") for suffix in registry.WRITTEN]
 Y_UP = ("glb", "obj")  # formats that programs read with y up
 
 # rotations of the domain's z axis to the up axis of the file
@@ -204,6 +201,8 @@ def _export(args: argparse.Namespace, folder: Path) -> None:
         gaussians = cloud(look, look.frame(index), not args.no_scenery)
         if up != "z":
             gaussians = gaussians.transformed(UP[up])
+        if suffix == registry.GLTF:
+            gaussians = gltf.from_gltf_axes(gaussians)  # --up names an axis of the file
         for line in losses(gaussians, suffix):
             kind = line.split(":")[0]
             if kind not in reported:  # each kind is reported once

@@ -4,6 +4,7 @@ import json
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.support import gaussian_files as written
-from tests.support import hostile_gaussians
+from tests.support import hostile_containers, hostile_gaussians
+from tests.support import splat_containers as containers
 from tests.support.launch import PATIENCE
 from vgmpi.gaussians.formats import registry
 from vgmpi.runtime import memory_budget
@@ -28,7 +30,7 @@ GOOD = {
         hostile_gaussians.SPZ4_GOOD,
         hostile_gaussians.SPZ4_EXTENDED,
     ],
-}
+} | {suffix: [data] for suffix, data in hostile_containers.GOOD.items()}
 
 # reads the files of a folder; the peak memory is the kernel's, set back before each file
 READ = """
@@ -122,7 +124,8 @@ def test_an_unknown_kind(tmp_path, name):
 
 def test_the_good_ones_are_good(tmp_path):
     """The tables of cases spoil these: they must be readable before."""
-    for suffix, counts in ((".ply", (2, 5)), (".splat", (3,)), (".spz", (50,) * 4)):
+    for suffix, counts in ((".ply", (2, 5)), (".splat", (3,)), (".spz", (50,) * 4), (".sog", (5,)),
+                           (".glb", (4,)), (".ksplat", (5,))):  # fmt: skip
         path = tmp_path / f"GOOD{suffix.upper()}"
         for data, count in zip(GOOD[suffix], counts):
             path.write_bytes(data)
@@ -151,6 +154,82 @@ def test_any_damage_gives_a_cloud_or_the_one_error(tmp_path_factory, case, cut, 
         assert len(cloud) > 0
         assert np.isfinite(cloud.cov().astype(np.float32)).all()
         assert ((cloud.opacity >= 0) & (cloud.opacity <= 1)).all()
+
+
+DAMAGED = 200  # files of each format
+
+
+def damaged_files(suffix, data):
+    """Files with flipped bits, other bytes, a missing end, and values changed in a JSON header."""
+    rng = np.random.default_rng(7)
+    start = 0 if suffix != ".ksplat" else 4096
+    for k in range(DAMAGED):
+        out = bytearray(data)
+        if k % 4 == 0:
+            out = out[: rng.integers(len(out))]
+        elif k % 4 == 1:  # headers say most: half of the damage is there
+            for _ in range(rng.integers(1, 9)):
+                place = rng.integers(len(out) if k % 8 == 1 else 60)
+                out[(start + place) % len(out)] ^= 1 << rng.integers(8)
+        elif k % 4 == 2:
+            place = rng.integers(len(out))
+            out[place : place + 4] = rng.bytes(4)
+        else:
+            digits = [i for i, byte in enumerate(out) if chr(byte) in '0123456789[]{}":,']
+            for place in rng.choice(digits, min(3, len(digits))):
+                out[place] = rng.choice(list(b'0123456789-e[]{}":,.'))
+        yield bytes(out)
+
+
+def reframed(suffix, data):
+    """Damage inside of the JSON header alone: archive, chunks and sums are right."""
+    if suffix == ".glb":
+        header = json.dumps(hostile_containers.HEADER).encode()
+        return header, lambda text: containers.glb(text, hostile_containers.BINARY)
+    header = json.dumps(hostile_containers.META).encode()
+    return header, lambda text: containers.sog(text, hostile_containers.MEMBERS)
+
+
+def read_or_one_line(path, data):
+    """Read a damaged file; return the error, "" if it is a cloud."""
+    path.write_bytes(data)
+    begin = time.process_time()
+    try:
+        cloud = registry.read(path)
+    except registry.GaussianFileError as error:
+        said = str(error)
+        assert said.startswith(f"{path}: ") and said.isprintable() and len(said) < 400
+    else:
+        said = ""
+        assert len(cloud) and np.isfinite(cloud.x).all() and np.isfinite(cloud.sh).all()
+    assert time.process_time() - begin < 1
+    return said
+
+
+@pytest.mark.parametrize("suffix", hostile_containers.GOOD)
+def test_damaged_files_of_a_fixed_seed(tmp_path, suffix):
+    path = tmp_path / f"a{suffix}"
+    good = hostile_containers.GOOD[suffix]
+    said = [read_or_one_line(path, data) for data in damaged_files(suffix, good)]
+    assert sum(map(bool, said)) > DAMAGED / 3
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".sog"])
+def test_damaged_headers_of_a_fixed_seed(tmp_path, suffix):
+    header, framed = reframed(suffix, hostile_containers.GOOD[suffix])
+    path = tmp_path / f"a{suffix}"
+    said = [read_or_one_line(path, framed(text)) for text in damaged_files(suffix, header)]
+    assert sum(map(bool, said)) > DAMAGED / 3
+
+
+@pytest.mark.parametrize(
+    "suffix, says",
+    [(".lcc", "LCC"), (".rad", "RAD"), (".4dgs", "4DGS"), (".splat4d", "4DGS"), (".json", "SOG")],
+)
+def test_formats_that_are_not_read_are_named_with_the_way(tmp_path, suffix, says):
+    (tmp_path / f"a{suffix}").write_bytes(b"anything")
+    with pytest.raises(registry.GaussianFileError, match=f"{says}.*convert it to .ply"):
+        registry.read(tmp_path / f"a{suffix}")
 
 
 @pytest.mark.parametrize("suffix", GOOD)

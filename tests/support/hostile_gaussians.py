@@ -352,7 +352,9 @@ def damaged(count=200, seed=8):
 
 def cases():
     """(suffix, name) -> (bytes or what makes the file, what is said)."""
-    kinds = {".ply": PLY, ".splat": SPLAT, ".spz": SPZ | spz4()}
+    from tests.support import hostile_containers  # it builds on this module
+
+    kinds = {".ply": PLY, ".splat": SPLAT, ".spz": SPZ | spz4()} | hostile_containers.CASES
     return {(suffix, name): case for suffix, bad in kinds.items() for name, case in bad.items()}
 
 

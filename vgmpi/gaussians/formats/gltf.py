@@ -1,10 +1,12 @@
-"""Writer of glTF binary files of Gaussians (KHR_gaussian_splatting, Khronos 2026).
+"""Reader and writer of glTF files of Gaussians (KHR_gaussian_splatting, Khronos 2026).
 
-The kernel is "ellipse". The file has one node with one primitive of points; y points up, as in
-glTF. Programs without the extension show points with COLOR_0.
+The kernel is "ellipse". A written file has one node with one primitive of points. Programs without
+the extension show points with COLOR_0. Its axes are those of glTF (left, up, forward), half a turn
+about z from those of a .ply (right, down, forward).
 """
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,18 +14,26 @@ import numpy as np
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.runtime.atomic_write import replace_file
 
-NAME = "KHR_gaussian_splatting"
-FLOAT, BYTE = 5126, 5121  # component types
-TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
+from .gltf_container import BYTE, FLOAT, TYPES
+from .gltf_reader import NAME, SRGB, read, turn_half
+
+__all__ = ["NAME", "from_gltf_axes", "read", "write"]
+
+
+def from_gltf_axes(cloud: GaussianCloud) -> GaussianCloud:
+    """Return a cloud in the axes of a .ply of one in the axes of glTF; only signs change."""
+    x, quat, sh = turn_half(cloud.x, cloud.quat, cloud.sh)
+    return replace(cloud, x=x, quat=quat, sh=sh)
 
 
 def write(path: str | Path, cloud: GaussianCloud) -> None:
-    """Write `cloud`, in its order and axes, with float32 precision.
+    """Write `cloud`, in the axes of a .ply, in its order with float32 precision.
 
     Raises:
         OSError: If the file cannot be written.
     """
-    header, data = _encode_buffers(_attributes(cloud))
+    turned = from_gltf_axes(cloud)  # a whole turn changes the sign of a quaternion
+    header, data = _encode_buffers(_attributes(replace(turned, quat=-turned.quat)))
     text = json.dumps(header, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     data += b"\0" * (-len(data) % 4)
@@ -82,7 +92,7 @@ def _encode_buffers(attributes: dict[str, np.ndarray]) -> tuple[dict, bytes]:
     primitive = {
         "mode": 0,
         "attributes": {name: k for k, name in enumerate(attributes)},
-        "extensions": {NAME: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}},
+        "extensions": {NAME: {"kernel": "ellipse", "colorSpace": SRGB}},
     }
     header = {
         "asset": {"version": "2.0", "generator": "vgmpi"},

@@ -6,20 +6,42 @@ from types import ModuleType
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.coordinate_frames import in_ply_frame
 
-from . import gltf, ply, sog, splat, spz
+from . import gltf, ksplat, ply, sog, splat, spz
 from .validation import GaussianFileError
 
-SPZ = ".spz"
-KINDS: dict[str, ModuleType] = {".ply": ply, ".splat": splat, SPZ: spz}
-GLTF, SOG = ".glb", ".sog"  # write-only formats
+GLTF, SOG, SPZ = ".glb", ".sog", ".spz"
 COMPRESSED = ".compressed.ply"  # suffix of a .ply in SuperSplat's layout
+KINDS: dict[str, ModuleType] = {
+    ".ply": ply,
+    ".splat": splat,
+    SPZ: spz,
+    SOG: sog,
+    GLTF: gltf,
+    ".gltf": gltf,
+    ".ksplat": ksplat,
+}
+WRITTEN = (".ply", ".splat", SPZ, COMPRESSED, GLTF, SOG)  # suffixes of files that are written
+_CONVERSION = "convert it to .ply or .sog, for example with splat-transform (PlayCanvas)"
+_UNREADABLE = {  # formats of Gaussians that are not read
+    ".lcc": "XGRIDS's LCC",
+    ".lcc2": "XGRIDS's LCC",
+    ".rad": "Spark's RAD",
+    ".4dgs": "a moving 4DGS capture",
+    ".splat4d": "a moving 4DGS capture",
+    ".splatv": "a moving capture of antimatter15's viewer",
+    ".sogs": "an unbundled SOG",
+    ".json": "an unbundled SOG (meta.json) or a list of files",
+    ".pt": "a checkpoint of PyTorch",
+    ".pth": "a checkpoint of PyTorch",
+    ".ckpt": "a checkpoint of PyTorch",
+}
 
 
 def read(path: str | Path, frame: str | None = None) -> GaussianCloud:
-    """Return the Gaussians of a .ply, .splat or .spz file in the file's units.
+    """Return the Gaussians of a file in the file's units and in the axes that its .ply would have.
 
-    Values are activated: opacity in 0..1, linear scales, unit quaternions. Axes are those of a
-    .ply: numbers are taken as they are unless the file or the caller names another frame.
+    Values are activated: opacity in 0..1, linear scales, unit quaternions. Numbers are
+    taken as they are unless the format, the file or the caller names another frame.
 
     Args:
         path: The file.
@@ -42,15 +64,16 @@ def write(path: str | Path, cloud: GaussianCloud, spz_version: int = spz.DEFAULT
         spz_version: Version of a .spz, 3 or 4.
 
     Raises:
-        GaussianFileError: If the format cannot hold the cloud.
+        GaussianFileError: If the format cannot hold the cloud, or is only read.
         OSError: If the file cannot be written.
     """
     name = Path(path).name.lower()
-    if name.endswith(GLTF):
-        gltf.write(path, cloud)
-    elif name.endswith(SOG):
-        sog.write(path, cloud)
-    elif name.endswith(COMPRESSED):
+    if not name.endswith(WRITTEN):
+        _format_module(path)
+        raise GaussianFileError(
+            f"{path}: this format is only read: written are {', '.join(WRITTEN)}"
+        )
+    if name.endswith(COMPRESSED):
         ply.write_compressed(path, cloud)
     elif name.endswith(SPZ):
         spz.write(path, cloud, spz_version)
@@ -61,6 +84,8 @@ def write(path: str | Path, cloud: GaussianCloud, spz_version: int = spz.DEFAULT
 def _format_module(path: str | Path) -> ModuleType:
     """Return the module of a file's format."""
     suffix = Path(path).suffix.lower()
+    if suffix in _UNREADABLE:
+        raise GaussianFileError(f"{path}: is {_UNREADABLE[suffix]}, not read: {_CONVERSION}")
     if suffix not in KINDS:
         raise GaussianFileError(f"{path}: allowed: a name that ends in {', '.join(KINDS)}")
     return KINDS[suffix]

@@ -1,7 +1,7 @@
-"""Writer of SOG files, spatially ordered Gaussians (PlayCanvas, version 2), as one ZIP archive.
+"""Reader and writer of SOG files, spatially ordered Gaussians (PlayCanvas), as one ZIP archive.
 
-Every property is a lossless WebP picture with a pixel per Gaussian. SuperSplat, PlayCanvas and
-Spark read them, also as streams.
+Version 2 is written. Every property is a lossless WebP picture with a pixel per Gaussian.
+SuperSplat, PlayCanvas and Spark read these files, also as streams.
 """
 
 import io
@@ -16,7 +16,10 @@ from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.runtime.atomic_write import replace_file
 
 from .residual_coding import morton_order
+from .sog_reader import read
 from .validation import GaussianFileError
+
+__all__ = ["PALETTE", "read", "write"]
 
 CODEBOOK = 256  # values that a byte selects
 PALETTE = 1 << 16  # view-dependent colors that a file can hold
@@ -40,6 +43,8 @@ def write(path: str | Path, cloud: GaussianCloud) -> None:
     cloud = cloud.select(morton_order(cloud.x, spacing))
     width = 4 * -(-int(np.ceil(np.sqrt(len(cloud)))) // 4)
     meta: dict[str, Any] = {"version": 2, "asset": {"generator": "vgmpi"}, "count": len(cloud)}
+    if cloud.is_antialiased:  # as splat-transform has it, and as the format was proposed
+        meta |= {"model": "antialiased", "antialias": True}
     pictures: dict[str, np.ndarray] = {}
     _add_positions(meta, pictures, cloud)
     _add_shapes(meta, pictures, cloud)

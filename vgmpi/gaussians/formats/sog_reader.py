@@ -1,0 +1,341 @@
+"""Reader of SOG files of version 2 and of the older layout without a version (PlayCanvas).
+
+A .sog is a ZIP archive of meta.json and of pictures with a pixel per Gaussian, row by row. Members,
+pictures and counts are bounded by the size of the archive before they are unpacked.
+
+The specification names the axes right, up, back; the programs of its authors write the axes of a
+.ply unchanged. Here, as there, a cloud is what its .ply would hold.
+
+References:
+    developer.playcanvas.com/user-manual/gaussian-splatting/formats/sog
+"""
+
+import io
+import os
+import struct
+import warnings
+import zipfile
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from vgmpi.gaussians.capture_record import CaptureRecord
+from vgmpi.gaussians.cloud import GaussianCloud
+
+from .json_header import JsonObject, parse_header, printable_text
+from .validation import Columns, GaussianFileError, naming_file, read_validated, validate_count
+
+_META = "meta.json"
+_CODEBOOK = 256  # values that a byte selects
+_PALETTE_WIDTH, _PALETTE_HEIGHT = 64, 1024  # entries in a row of their picture, and most rows
+_TERMS = (0, 3, 8, 15, 24)  # higher coefficients per channel by degree
+_READ_TERMS = 15  # higher coefficients that are kept; degree 4 is dropped
+_DIRECTORY_LIMIT = 1 << 17  # [bytes] of an archive's list of members; real ones take 600
+_ROW_BYTES = 24  # [bytes] of a Gaussian in unpacked pictures
+_FREE, _RATIO = 1 << 22, 200  # [bytes] that any file may expand to; factor for a large file
+_MARGIN = 1 << 20  # [bytes] by which a member may be larger than the archive
+_SPARE_PIXELS = 1 << 16  # [pixels] of a picture that hold no Gaussian, beside three in four
+_LEADING = 252  # byte of a quaternion whose first component is left out
+_OTHERS = np.array([(1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)])
+_ZIP_ERRORS = (
+    zipfile.BadZipFile, NotImplementedError, RuntimeError, ValueError, EOFError, KeyError,
+    OverflowError, struct.error, zlib.error,
+)  # fmt: skip
+
+
+def read(path: str | Path) -> GaussianCloud:
+    """Return the Gaussians of a .sog file in the file's order.
+
+    Raises:
+        GaussianFileError: If the file is not readable.
+    """
+    with naming_file(path), open(path, "rb") as file:
+        archive = _Archive(file)
+        meta = parse_header(archive.member(_META))
+        version = meta.integer("version", 1, low=1, high=1 << 30)
+        if version not in (1, 2):
+            raise GaussianFileError(f"is of version {version}: allowed are 1 and 2")
+        count = meta.integer("count") if version == 2 else _count_of_version_1(meta)
+        if _ROW_BYTES * validate_count(count) > max(_FREE, _RATIO * archive.size):
+            raise GaussianFileError(
+                f"claims {count:,} Gaussians out of {archive.size:,} bytes: made to fill the memory"
+            )
+        cloud = read_validated(count, _decoder(meta, archive, count, version))
+        record, is_antialiased = _record(meta, version)
+        return replace(cloud, record=record, is_antialiased=is_antialiased)
+
+
+def _count_of_version_1(meta: JsonObject) -> int:
+    """Return the number of Gaussians of a file without a version."""
+    if "means" not in meta:
+        raise GaussianFileError(f"has no 'means' in its {_META}: no cloud of Gaussians?")
+    shape = meta.child("means").items("shape")
+    count = shape[0] if shape else None
+    if not isinstance(count, int) or isinstance(count, bool) or count < 0:
+        raise GaussianFileError("has no number of Gaussians in means.shape")
+    return count
+
+
+def _record(meta: JsonObject, version: int) -> tuple[CaptureRecord, bool]:
+    """Return what the header tells of the file, and whether its training was antialiased."""
+    model = meta.text("model", "default")
+    is_antialiased = model == "antialiased" or meta.values.get("antialias") is True
+    source, doubts, omissions = "", (), ()
+    if is_antialiased:
+        key = f'"model": "{model}"' if model == "antialiased" else '"antialias": true'
+        source = f"{_META} says {key}"
+    elif model == "2dgs":
+        doubts = ("the Gaussians are flat discs of 2DGS, drawn here as thin ellipsoids",)
+    elif model != "default":
+        doubts = (f"{_META} names the unknown model {printable_text(model, 30)!r}",)
+    if "shN" in meta and meta.child("shN").values.get("bands") == 4:
+        omissions = ("colors of degree 4",)
+    asset = meta.child("asset") if "asset" in meta else JsonObject({}, "asset")
+    generator = printable_text(asset.text("generator", ""))
+    record = CaptureRecord(
+        encoding=f".sog, version {version}",
+        render_model_source=source,
+        comments=(f"generator: {generator}",) if generator else (),
+        doubts=doubts,
+        omissions=omissions,
+    )
+    return record, is_antialiased
+
+
+class _BoundedReads:
+    """File whose reads are bounded while the list of an archive's members is read."""
+
+    def __init__(self, file: BinaryIO):
+        self.file, self.is_bounded = file, True
+        self.seek, self.tell, self.seekable = file.seek, file.tell, file.seekable
+
+    def read(self, size: int = -1) -> bytes:
+        """Return the next bytes."""
+        if not self.is_bounded:
+            return self.file.read(size)
+        data = self.file.read(
+            min(size, _DIRECTORY_LIMIT + 1) if size >= 0 else _DIRECTORY_LIMIT + 1
+        )
+        if len(data) > _DIRECTORY_LIMIT:
+            raise GaussianFileError("has a list of members that is too long for a .sog")
+        return data
+
+
+class _Archive:
+    """ZIP archive whose members are bounded by its own size."""
+
+    def __init__(self, file: BinaryIO):
+        self.size = os.fstat(file.fileno()).st_size
+        if file.read(2) != b"PK":
+            raise GaussianFileError("is not a .sog file (no ZIP archive)")
+        bounded = _BoundedReads(file)
+        try:
+            self.archive = zipfile.ZipFile(bounded)  # type: ignore[arg-type]
+        except GaussianFileError:
+            raise
+        except _ZIP_ERRORS as error:
+            reason = printable_text(str(error))
+            raise GaussianFileError(f"is no readable ZIP archive ({reason}): truncated?") from None
+        bounded.is_bounded = False
+
+    def member(self, name: str) -> bytes:
+        """Return the bytes of a member."""
+        try:
+            member = self.archive.getinfo(name)
+        except KeyError:
+            raise GaussianFileError(f"has no {printable_text(name)!r} in its archive") from None
+        limit = self.size + _MARGIN
+        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise GaussianFileError(f"has {name!r} packed by another method than deflate")
+        if member.file_size > limit:
+            raise GaussianFileError(
+                f"has {printable_text(name)!r} of {member.file_size:,} bytes out of"
+                f" {self.size:,}: made to fill the memory"
+            )
+        try:
+            with self.archive.open(member) as stream:
+                return stream.read(limit)
+        except (*_ZIP_ERRORS, OSError) as error:
+            reason = printable_text(str(error))
+            raise GaussianFileError(
+                f"has a damaged {printable_text(name)!r} in its archive ({reason})"
+            ) from None
+
+    def pixels(self, table: JsonObject, index: int, count: int) -> np.ndarray:
+        """Return the first `count` pixels of a picture that a table names, (count, 4) bytes."""
+        picture, name = self.picture(table, index, 4 * count + _SPARE_PIXELS)
+        pixels = picture.reshape(-1, 4)
+        if len(pixels) < count:
+            raise GaussianFileError(
+                f"has {len(pixels):,} pixels in {name!r} for {count:,} Gaussians"
+            )
+        return pixels[:count]
+
+    def picture(self, table: JsonObject, index: int, most: int) -> tuple[np.ndarray, str]:
+        """Return a picture (height, width, 4) of at most `most` pixels, and its printable name."""
+        files = table.items("files")
+        name = files[index] if index < len(files) else None
+        if not isinstance(name, str):
+            raise GaussianFileError(f"has no picture {index} in {table.name}.files")
+        label = printable_text(name)
+        return _decoded_picture(self.member(name), label, most), label
+
+
+def _decoded_picture(data: bytes, name: str, most: int) -> np.ndarray:
+    """Decode a picture of at most `most` pixels, as (height, width, 4) bytes."""
+    from PIL import Image  # only this format needs it
+
+    def require_bound(width: int, height: int) -> None:
+        """Check the number of pixels."""
+        if width * height > most:
+            raise GaussianFileError(
+                f"has {width:,} x {height:,} pixels in {name!r}: expected at most {most:,} in all"
+            )
+
+    require_bound(*_webp_size(data))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of large pictures: they are bounded here
+            with Image.open(io.BytesIO(data), formats=("WEBP", "PNG")) as image:
+                require_bound(*image.size)
+                return np.asarray(image.convert("RGBA"))
+    except (GaussianFileError, MemoryError):
+        raise
+    except Exception as error:  # Pillow's readers raise anything
+        reason = printable_text(str(error)) if "BytesIO" not in str(error) else "no WebP or PNG"
+        raise GaussianFileError(f"has a broken picture {name!r} ({reason})") from None
+
+
+def _webp_size(data: bytes) -> tuple[int, int]:
+    """Return width and height of a WebP picture by its header; (0, 0) for other files."""
+    if len(data) < 30 or data[:4] != b"RIFF" or data[8:12] != b"WEBP":
+        return 0, 0
+    if data[12:16] == b"VP8L":
+        word = int.from_bytes(data[21:25], "little")
+        return (word & 0x3FFF) + 1, (word >> 14 & 0x3FFF) + 1
+    if data[12:16] == b"VP8X":
+        return int.from_bytes(data[24:27], "little") + 1, int.from_bytes(data[27:30], "little") + 1
+    width, height = struct.unpack_from("<HH", data, 26)
+    return width & 0x3FFF, height & 0x3FFF
+
+
+@dataclass(frozen=True)
+class _Palette:
+    """Higher colors: entries of bytes, the entry of each Gaussian, and the value of each byte."""
+
+    entries: np.ndarray  # (k, terms, 3) bytes
+    labels: np.ndarray  # (n,) numbers of entries
+    codebook: np.ndarray  # (256,)
+
+    def colors(self, start: int, stop: int) -> np.ndarray:
+        """Return coefficients (n, terms, 3); NaN where an entry does not exist."""
+        labels = self.labels[start:stop].astype(np.int64)
+        exists = labels < len(self.entries)
+        colors = self.codebook[self.entries[np.where(exists, labels, 0)]]
+        colors[~exists] = np.nan
+        return colors[:, :_READ_TERMS]
+
+
+def _decoder(
+    meta: JsonObject, archive: _Archive, count: int, version: int
+) -> Callable[[int, int], Columns]:
+    """Return the function that decodes a range of Gaussians."""
+    means, scales, sh0 = meta.child("means"), meta.child("scales"), meta.child("sh0")
+    low = means.numbers("mins", 3)
+    extent = means.numbers("maxs", 3) - low
+    lower, upper = archive.pixels(means, 0, count), archive.pixels(means, 1, count)
+    quats = archive.pixels(meta.child("quats"), 0, count)
+    sizes, colors = archive.pixels(scales, 0, count), archive.pixels(sh0, 0, count)
+    log_size = _lookup(scales, version, 3)
+    dc, opacity = _lookup(sh0, version, 3), _opacities(sh0, version)
+    palette = _palette(meta.child("shN"), archive, count, version) if "shN" in meta else None
+
+    def decoded(start: int, stop: int) -> Columns:
+        """Decode a range of pixels to columns."""
+        steps = lower[start:stop, :3] + 256.0 * upper[start:stop, :3]
+        values = low + extent * (steps / 65535)
+        sh = dc(colors[start:stop, :3])[:, None, :]
+        if palette is not None:
+            sh = np.concatenate([sh, palette.colors(start, stop)], axis=1)
+        return (
+            np.sign(values) * np.expm1(np.abs(values)),
+            _rotation(quats[start:stop]),
+            np.exp(log_size(sizes[start:stop, :3])),
+            opacity[colors[start:stop, 3]],
+            sh,
+        )
+
+    return decoded
+
+
+def _codebook(table: JsonObject) -> np.ndarray:
+    """Return the values of the bytes 0 to 255; NaN where there is none."""
+    codebook = table.numbers("codebook", 1, _CODEBOOK)
+    return np.pad(codebook, (0, _CODEBOOK - len(codebook)), constant_values=np.nan)
+
+
+def _lookup(table: JsonObject, version: int, axes: int) -> Callable[[np.ndarray], np.ndarray]:
+    """Return the function of bytes (n, axes) to values: a codebook, or bounds in version 1."""
+    if version == 2:
+        codebook = _codebook(table)
+        return lambda steps: codebook[steps]
+    low = table.numbers("mins", axes, 4)[:axes]
+    extent = table.numbers("maxs", axes, 4)[:axes] - low
+    return lambda steps: low + extent * (steps / 255)
+
+
+def _opacities(table: JsonObject, version: int) -> np.ndarray:
+    """Return the opacities of the bytes 0 to 255; version 1 bounds their logits."""
+    steps = np.arange(256) / 255
+    if version == 2:
+        return steps
+    low, high = table.numbers("mins", 4)[3], table.numbers("maxs", 4)[3]
+    with np.errstate(over="ignore"):
+        return 1 / (1 + np.exp(-(low + (high - low) * steps)))
+
+
+def _palette(table: JsonObject, archive: _Archive, count: int, version: int) -> _Palette | None:
+    """Return the view-dependent colors; None of degree 0."""
+    most = _PALETTE_WIDTH * _TERMS[-1] * _PALETTE_HEIGHT
+    if version == 2 and table.integer("bands", high=4) == 0:
+        return None
+    picture, name = archive.picture(table, 0, most)
+    widths = [_PALETTE_WIDTH * terms for terms in _TERMS]
+    width = picture.shape[1]
+    if width not in widths[1:] or (
+        version == 2 and width != widths[table.integer("bands", high=4)]
+    ):
+        raise GaussianFileError(
+            f"has {name!r} with a width of {width} pixels: not that of its degree"
+        )
+    terms = width // _PALETTE_WIDTH
+    entries = picture[..., :3].reshape(-1, terms, 3)
+    if version == 2:
+        size = table.integer("count", low=1)
+        if size > len(entries):
+            raise GaussianFileError(f"has {len(entries):,} of {size:,} colors in {name!r}")
+        entries, codebook = entries[:size], _codebook(table)
+    else:
+        low, high = table.number("mins"), table.number("maxs")
+        codebook = low + (high - low) * np.arange(_CODEBOOK) / 255
+    pixels = archive.pixels(table, 1, count)
+    labels = pixels[:, 0] + (pixels[:, 1].astype(np.uint16) << 8)
+    return _Palette(entries, labels, codebook)
+
+
+def _rotation(pixels: np.ndarray) -> np.ndarray:
+    """Decode quaternions w, x, y, z (n, 4) of three bytes and the number of the leading one."""
+    leading = pixels[:, 3].astype(np.int64) - _LEADING
+    valid = leading >= 0
+    leading = np.where(valid, leading, 0)
+    small = (pixels[:, :3] / 255.0 - 0.5) * np.sqrt(2)
+    quat = np.empty((len(pixels), 4))
+    np.put_along_axis(quat, _OTHERS[leading], small, axis=1)
+    largest = np.sqrt(np.maximum(0.0, 1 - (small**2).sum(axis=1)))
+    np.put_along_axis(quat, leading[:, None], largest[:, None], axis=1)
+    quat[~valid] = 0.0
+    return quat
