@@ -110,7 +110,7 @@ SOG = {
     "a list": (made.sog(b"[]", MEMBERS), "no object"),
     "deep": (made.sog(DEEP, MEMBERS), "nested 100,000 deep"),
     "deep behind a text": (made.sog(b'{"a": "\\"[", "b": ' + DEEP, MEMBERS), "nested 100,001"),
-    "quotes": (made.sog(b'"\\' * (1 << 20), MEMBERS), "cannot be read"),
+    "quotes": (made.sog(b'"\\' * (1 << 21), MEMBERS), "cannot be read"),
     "a long number": (made.sog(b'{"version": ' + b"9" * 100_000 + b"}", MEMBERS), "JSON"),
     "no UTF-8": (made.sog(b'{"version": "\xff"}', MEMBERS), "cannot be read"),
     "version 3": (sog({"version": 3}), "version 3"),
@@ -123,9 +123,6 @@ SOG = {
     "no means": (made.sog({"version": 2, "count": 5}, MEMBERS), "no 'means'"),
     "nothing": (made.sog({}, MEMBERS), "no 'means'"),
     "bounds that are no numbers": (sog(table("means", mins=[0, 0, "a"])), "3 numbers"),
-    "bounds beyond numbers": (
-        sog().replace(b"-3.0]", b"1e999]"), "damaged 'meta.json'|ZIP|3 numbers",
-    ),
     "NaN": (made.sog(json.dumps(META | table("means", mins=[float("nan")] * 3)).encode(), MEMBERS),
             "3 numbers"),
     "bounds beyond meters": (sog(table("means", maxs=[1, 1e4, 1])), "above 1e18"),

@@ -18,7 +18,10 @@ _VALUES_TOLD = 8  # values of a column of labels
 
 def is_inspectable(path: Path) -> bool:
     """Return whether the file's name is that of such a file."""
-    return path.suffix.lower() in (*registry.KINDS, *surface_mesh.FORMATS)
+    suffix = path.suffix.lower()
+    if suffix == ".json":  # runs have such files, too
+        return False
+    return suffix in (*registry.KINDS, *registry.UNREADABLE, *surface_mesh.FORMATS)
 
 
 def describe_file(path: Path) -> str:
@@ -27,7 +30,7 @@ def describe_file(path: Path) -> str:
     Raises GaussianFileError or MeshError, one line that names the file.
     """
     suffix = path.suffix.lower()
-    if suffix not in registry.KINDS:
+    if suffix in surface_mesh.FORMATS and suffix not in registry.KINDS:
         return _mesh(path)
     try:
         return _gaussians(path)

@@ -99,7 +99,7 @@ class Object(StrictModel):
     region: Annotated[tuple[Region, ...] | None, BeforeValidator(_listed)] = None
     """parts of another material of the same kind, a list of tables: [[object.region]]"""
     gaussians: str | None = None
-    """a Gaussian file (.ply .splat .spz), relative to the scene's folder"""
+    """a Gaussian file (.ply .splat .spz .sog .glb .gltf .ksplat), relative to the scene's folder"""
     mesh: str | None = None
     """a surface mesh (.obj .stl .ply .vtk .vtu), relative to the scene's folder; colored by the
     texture of an .obj's material (map_Kd, beside it or below) or by its points"""

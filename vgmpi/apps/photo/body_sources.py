@@ -38,6 +38,7 @@ from .visual_hull import HullError
 log = logging.getLogger("vgmpi.apps.photo")
 
 Guess = tuple[tuple, Any, str]
+GLTF = (".glb", ".gltf")  # more often meshes than Gaussians: taken if there is no other file
 MIN_IOU = 0.7  # [-] bodies below this intersection over union hardly fit their masks
 
 
@@ -231,7 +232,8 @@ def _body_file(obj: ObjectTable, loaded: LoadedLayout) -> Path | None:
     folder = loaded.path(config.folder)
     if not folder.is_dir():
         raise LayoutError(loaded.source.lines([(("bodies", "folder"), f"no folder {folder}")]))
-    for suffix in (*registry.KINDS, *surface_mesh.FORMATS):
+    names = [suffix for suffix in registry.KINDS if suffix not in GLTF]
+    for suffix in (*names, *surface_mesh.FORMATS, *GLTF):
         if (folder / f"{obj.name}{suffix}").is_file():
             return folder / f"{obj.name}{suffix}"
     return None

@@ -220,7 +220,13 @@ class _Attributes:
         self.count: int | None = None
 
     def accessor(self, name: str, kind: str, width: int) -> Accessor:
-        """Return the column of an attribute of a kind."""
+        """Return the column of an attribute.
+
+        Args:
+            name: Name of the attribute.
+            kind: Key of the component types that it may have.
+            width: Numbers in a row.
+        """
         if name not in self.names:
             raise GaussianFileError(f"has no {name}: of a draft of the extension, or broken?")
         column = self.container.accessor(self.names[name], name, width)

@@ -13,7 +13,7 @@ from .validation import GaussianFileError
 MAX_BYTES = 4 << 20  # [bytes] of a header: parsed, it takes up to twenty times as much
 _MAX_DEPTH = 64  # [-] nested lists and objects
 _MAX_INTEGER = 1 << 53
-_STRING = re.compile(rb'"[^"\\]*(?:\\.[^"\\]*)*(?:"|\\?\Z)', re.DOTALL)
+_STRING = re.compile(rb'"[^"\\]*+(?:\\.[^"\\]*+)*+(?:"|\\?\Z)', re.DOTALL)
 _NO_DEFAULT: Any = object()
 
 
@@ -35,7 +35,13 @@ class JsonObject:
     def integer(
         self, key: str, default: Any = _NO_DEFAULT, low: int = 0, high: int = _MAX_INTEGER
     ) -> int:
-        """Return a whole number from `low` to `high`."""
+        """Return a whole number.
+
+        Args:
+            key: Key of the value.
+            default: Number where there is none; without it, there must be one.
+            low, high: Allowed range.
+        """
         value = self._value(key, default)
         if isinstance(value, float) and value.is_integer():
             value = int(value)
@@ -51,13 +57,19 @@ class JsonObject:
             raise self._error(key, "a text")
         return value
 
-    def numbers(self, key: str, least: int, most: int | None = None) -> np.ndarray:
-        """Return `least` to `most` finite numbers (`least` of them without `most`)."""
-        most = least if most is None else most
+    def numbers(self, key: str, min_count: int, max_count: int | None = None) -> np.ndarray:
+        """Return a list of finite numbers.
+
+        Args:
+            key: Key of the list.
+            min_count, max_count: Allowed lengths; without `max_count`, exactly `min_count`.
+        """
+        max_count = min_count if max_count is None else max_count
         value = self._value(key)
-        fits = isinstance(value, list) and least <= len(value) <= most
+        fits = isinstance(value, list) and min_count <= len(value) <= max_count
         if not fits or not all(_is_finite(number) for number in value):
-            count = f"{least}" if least == most else f"{least} to {most}"
+            single = min_count == max_count
+            count = f"{min_count}" if single else f"{min_count} to {max_count}"
             raise self._error(key, f"a list of {count} numbers")
         return np.array(value, dtype=np.float64)
 
@@ -136,9 +148,9 @@ def parse_header(data: bytes) -> JsonObject:
     return JsonObject(value, "")
 
 
-def printable_text(text: str, most: int = 80) -> str:
-    """Return a text of a file on one line of at most `most` characters."""
-    return "".join(c for c in text[:most] if c.isprintable())
+def printable_text(text: str, max_length: int = 80) -> str:
+    """Return a text of a file on one line, cut at a length."""
+    return "".join(c for c in text[:max_length] if c.isprintable())
 
 
 def _is_finite(value: Any) -> bool:

@@ -14,7 +14,7 @@ import os
 import struct
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -33,6 +33,36 @@ _MAX_COLOR = 1.5  # [-] bound of coefficients of level 2 where the header has no
 _POSITION_STEPS = 32767  # [-] steps of half a block where a section does not say
 _TERMS = (0, 3, 8)  # higher coefficients per channel by degree
 _LEVELS = (("<f4", "<f4", "<f4"), ("<u2", "<f2", "<f2"), ("<u2", "<f2", "u1"))
+
+
+class _Header(NamedTuple):
+    """Header of a file; the capacities say how much it could hold."""
+
+    major: int
+    minor: int
+    section_capacity: int
+    section_count: int
+    capacity: int
+    gaussian_count: int
+    level: int
+    min_color: float
+    max_color: float
+
+
+class _SectionHeader(NamedTuple):
+    """Header of a section."""
+
+    gaussian_count: int
+    capacity: int
+    bucket_size: int  # [Gaussians] in a full bucket
+    bucket_count: int
+    block: float  # [file units] edge of the cube of a bucket
+    bucket_bytes: int
+    steps: int  # of half a block
+    section_bytes: int
+    full_count: int  # full buckets
+    partial_count: int  # other buckets
+    degree: int
 
 
 @dataclass(frozen=True)
@@ -60,20 +90,22 @@ def read(path: str | Path) -> GaussianCloud:
         head = file.read(_HEADER_BYTES)
         if len(head) < _HEADER_BYTES:
             raise GaussianFileError("ends within its header: truncated, or no .ksplat file?")
-        major, minor, section_count, _, _, count, level, low, high = _HEADER.unpack_from(head)
-        if (major, minor) != (0, 1) or level >= len(_LEVELS):
+        header = _Header(*_HEADER.unpack_from(head))
+        version, level = f"{header.major}.{header.minor}", header.level
+        if version != "0.1" or level >= len(_LEVELS):
             raise GaussianFileError(
-                f"is of version {major}.{minor} and compression level {level}: allowed are version"
-                " 0.1 and levels 0 to 2; no .ksplat file?"
+                f"is of version {version} and compression level {level}: allowed are version 0.1"
+                " and levels 0 to 2; no .ksplat file?"
             )
-        validate_count(count)
-        sections = _sections(file, size, section_count, level)
+        count = validate_count(header.gaussian_count)
+        sections = _sections(file, size, header.section_capacity, level)
         total = sum(section.count for section in sections)
         if total != count:
             raise GaussianFileError(f"has {total:,} Gaussians in its sections, {count:,} in all")
-        bounds = (low or -_MAX_COLOR, high or _MAX_COLOR) if level == 2 else None
+        bounds = (header.min_color or -_MAX_COLOR, header.max_color or _MAX_COLOR)
         terms = max(_TERMS[section.degree] for section in sections)
-        cloud = read_validated(count, _Decoder(file, sections, terms, bounds))
+        decoder = _Decoder(file, sections, terms, bounds if level == 2 else None)
+        cloud = read_validated(count, decoder)
         record = CaptureRecord(encoding=f".ksplat, version 0.1, compression level {level}")
         return replace(cloud, record=record)
 
@@ -89,18 +121,17 @@ def _sections(file: BinaryIO, size: int, section_count: int, level: int) -> list
     heads = file.read(section_count * _SECTION_BYTES)
     sections = []
     for k in range(section_count):
-        fields = _SECTION.unpack_from(heads, k * _SECTION_BYTES)
-        section, start = _section(file, size, level, fields, start)
+        header = _SectionHeader(*_SECTION.unpack_from(heads, k * _SECTION_BYTES))
+        section, start = _section(file, size, level, header, start)
         sections.append(section)
     return sections
 
 
 def _section(
-    file: BinaryIO, size: int, level: int, fields: tuple, start: int
+    file: BinaryIO, size: int, level: int, header: _SectionHeader, start: int
 ) -> tuple[_Section, int]:
     """Return a section that begins at byte `start`, and the byte behind it."""
-    count, capacity, bucket_size, bucket_count, block, bucket_bytes, steps = fields[:7]
-    full, partial, degree = fields[8:]
+    count, degree = header.gaussian_count, header.degree
     if degree >= len(_TERMS):
         raise GaussianFileError(f"has colors of degree {degree}: allowed are 0 to 2")
     position, shape, color = _LEVELS[level]
@@ -108,38 +139,42 @@ def _section(
         [("x", position, 3), ("scale", shape, 3), ("quat", shape, 4), ("rgba", "u1", 4),
          ("sh", color, 3 * _TERMS[degree])]
     )  # fmt: skip
-    bucket_start = start + 4 * partial
-    row_start = bucket_start + bucket_bytes * bucket_count
-    end = row_start + row.itemsize * capacity
-    if count > capacity or end > size:
+    bucket_start = start + 4 * header.partial_count
+    row_start = bucket_start + header.bucket_bytes * header.bucket_count
+    end = row_start + row.itemsize * header.capacity
+    if count > header.capacity or end > size:
         raise GaussianFileError(
             f"has a section of {count:,} Gaussians that ends at byte {end:,} of {size:,}:"
             " truncated?"
         )
     ends = np.empty(0, np.int64)
     if level > 0 and count:
-        if bucket_bytes != _BUCKET_BYTES or full + partial != bucket_count or bucket_count > count:
-            raise GaussianFileError(
-                f"has {full:,} + {partial:,} of {bucket_count:,} buckets for {count:,} Gaussians"
-            )
-        if not np.isfinite(block) or block <= 0:
-            raise GaussianFileError(f"has a block of size {block:g}: expected more than 0")
-        ends = _bucket_ends(file, start, full, partial, bucket_size, count)
-    middle = steps or _POSITION_STEPS
-    step = block / 2 / middle
+        ends = _bucket_ends(file, start, header)
+    middle = header.steps or _POSITION_STEPS
+    step = header.block / 2 / middle
     return _Section(count, degree, row, row_start, bucket_start, ends, step, middle), end
 
 
-def _bucket_ends(
-    file: BinaryIO, start: int, full: int, partial: int, bucket_size: int, count: int
-) -> np.ndarray:
-    """Return the rows before the end of each bucket; `start`: byte of the lengths of others."""
-    if full and (not bucket_size or full * bucket_size > count):
+def _bucket_ends(file: BinaryIO, start: int, header: _SectionHeader) -> np.ndarray:
+    """Return the rows before the end of each bucket.
+
+    Full buckets come first; the lengths of the others are at byte `start`.
+    """
+    count, size = header.gaussian_count, header.bucket_size
+    full, partial = header.full_count, header.partial_count
+    buckets = header.bucket_count
+    if header.bucket_bytes != _BUCKET_BYTES or full + partial != buckets or buckets > count:
         raise GaussianFileError(
-            f"has {full:,} buckets of {bucket_size:,} for {count:,} Gaussians in a section"
+            f"has {full:,} + {partial:,} of {buckets:,} buckets for {count:,} Gaussians"
+        )
+    if not np.isfinite(header.block) or header.block <= 0:
+        raise GaussianFileError(f"has a block of size {header.block:g}: expected more than 0")
+    if full and (not size or full * size > count):
+        raise GaussianFileError(
+            f"has {full:,} buckets of {size:,} for {count:,} Gaussians in a section"
         )
     file.seek(start)
-    total, parts, block = full * bucket_size, [], 1 << 16
+    total, parts, block = full * size, [], 1 << 16
     for first in range(0, partial, block):  # block by block: an invalid file fails at once
         lengths = np.fromfile(file, "<u4", min(block, partial - first)).astype(np.int64)
         ends = total + np.cumsum(lengths)
@@ -151,7 +186,7 @@ def _bucket_ends(
         raise GaussianFileError(
             f"has buckets that do not hold the {count:,} Gaussians of a section"
         )
-    return np.concatenate([bucket_size * np.arange(1, full + 1, dtype=np.int64), *parts])
+    return np.concatenate([size * np.arange(1, full + 1, dtype=np.int64), *parts])
 
 
 class _Decoder:

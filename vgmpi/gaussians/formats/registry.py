@@ -22,7 +22,7 @@ KINDS: dict[str, ModuleType] = {
 }
 WRITTEN = (".ply", ".splat", SPZ, COMPRESSED, GLTF, SOG)  # suffixes of files that are written
 _CONVERSION = "convert it to .ply or .sog, for example with splat-transform (PlayCanvas)"
-_UNREADABLE = {  # formats of Gaussians that are not read
+UNREADABLE = {  # formats of Gaussians that are not read
     ".lcc": "XGRIDS's LCC",
     ".lcc2": "XGRIDS's LCC",
     ".rad": "Spark's RAD",
@@ -84,8 +84,8 @@ def write(path: str | Path, cloud: GaussianCloud, spz_version: int = spz.DEFAULT
 def _format_module(path: str | Path) -> ModuleType:
     """Return the module of a file's format."""
     suffix = Path(path).suffix.lower()
-    if suffix in _UNREADABLE:
-        raise GaussianFileError(f"{path}: is {_UNREADABLE[suffix]}, not read: {_CONVERSION}")
+    if suffix in UNREADABLE:
+        raise GaussianFileError(f"{path}: is {UNREADABLE[suffix]}, not read: {_CONVERSION}")
     if suffix not in KINDS:
         raise GaussianFileError(f"{path}: allowed: a name that ends in {', '.join(KINDS)}")
     return KINDS[suffix]

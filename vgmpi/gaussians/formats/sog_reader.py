@@ -166,7 +166,13 @@ class _Archive:
             ) from None
 
     def pixels(self, table: JsonObject, index: int, count: int) -> np.ndarray:
-        """Return the first `count` pixels of a picture that a table names, (count, 4) bytes."""
+        """Return the pixels of a picture that a table names, (count, 4) bytes.
+
+        Args:
+            table: Table with the names of its pictures.
+            index: Number of the picture.
+            count: Number of the first pixels, one per Gaussian.
+        """
         picture, name = self.picture(table, index, 4 * count + _SPARE_PIXELS)
         pixels = picture.reshape(-1, 4)
         if len(pixels) < count:
@@ -175,25 +181,31 @@ class _Archive:
             )
         return pixels[:count]
 
-    def picture(self, table: JsonObject, index: int, most: int) -> tuple[np.ndarray, str]:
-        """Return a picture (height, width, 4) of at most `most` pixels, and its printable name."""
+    def picture(self, table: JsonObject, index: int, max_count: int) -> tuple[np.ndarray, str]:
+        """Return a picture (height, width, 4) in bytes, and its printable name.
+
+        Args:
+            table: Table with the names of its pictures.
+            index: Number of the picture.
+            max_count: Most pixels that it may have.
+        """
         files = table.items("files")
         name = files[index] if index < len(files) else None
         if not isinstance(name, str):
             raise GaussianFileError(f"has no picture {index} in {table.name}.files")
         label = printable_text(name)
-        return _decoded_picture(self.member(name), label, most), label
+        return _decoded_picture(self.member(name), label, max_count), label
 
 
-def _decoded_picture(data: bytes, name: str, most: int) -> np.ndarray:
-    """Decode a picture of at most `most` pixels, as (height, width, 4) bytes."""
+def _decoded_picture(data: bytes, name: str, max_count: int) -> np.ndarray:
+    """Decode a picture of at most `max_count` pixels, as (height, width, 4) bytes."""
     from PIL import Image  # only this format needs it
 
     def require_bound(width: int, height: int) -> None:
         """Check the number of pixels."""
-        if width * height > most:
+        if width * height > max_count:
             raise GaussianFileError(
-                f"has {width:,} x {height:,} pixels in {name!r}: expected at most {most:,} in all"
+                f"has {width:,} x {height:,} pixels in {name!r}: expected at most {max_count:,}"
             )
 
     require_bound(*_webp_size(data))
@@ -300,10 +312,10 @@ def _opacities(table: JsonObject, version: int) -> np.ndarray:
 
 def _palette(table: JsonObject, archive: _Archive, count: int, version: int) -> _Palette | None:
     """Return the view-dependent colors; None of degree 0."""
-    most = _PALETTE_WIDTH * _TERMS[-1] * _PALETTE_HEIGHT
+    max_count = _PALETTE_WIDTH * _TERMS[-1] * _PALETTE_HEIGHT
     if version == 2 and table.integer("bands", high=4) == 0:
         return None
-    picture, name = archive.picture(table, 0, most)
+    picture, name = archive.picture(table, 0, max_count)
     widths = [_PALETTE_WIDTH * terms for terms in _TERMS]
     width = picture.shape[1]
     if width not in widths[1:] or (
@@ -335,7 +347,7 @@ def _rotation(pixels: np.ndarray) -> np.ndarray:
     small = (pixels[:, :3] / 255.0 - 0.5) * np.sqrt(2)
     quat = np.empty((len(pixels), 4))
     np.put_along_axis(quat, _OTHERS[leading], small, axis=1)
-    largest = np.sqrt(np.maximum(0.0, 1 - (small**2).sum(axis=1)))
-    np.put_along_axis(quat, leading[:, None], largest[:, None], axis=1)
+    omitted = np.sqrt(np.maximum(0.0, 1 - (small**2).sum(axis=1)))
+    np.put_along_axis(quat, leading[:, None], omitted[:, None], axis=1)
     quat[~valid] = 0.0
     return quat

@@ -26,10 +26,11 @@ _OTHER_FORMATS = {
     b"NGSP": "a .spz file",
     b"\x1f\x8b\x08": "a gzip file (.spz?)",
     b"\x89PNG": "a picture",
-    b"PK\x03\x04": "a zip file",
+    b"PK\x03\x04": "a ZIP archive (.sog?)",
+    b"RIFF": "a picture or a sound",
     b"<!DO": "a web page",
     b"<htm": "a web page",
-    b"glTF": "a glTF file",
+    b"glTF": "a glTF file (.glb?)",
 }
 
 
