@@ -53,6 +53,7 @@ def drawn(cloud, eye):
 # reached at least: 146 dB; 61 dB (colors and opacities in 255ths, rotations in 128ths); 47 dB
 # (sizes in steps of 6 %); 50 dB (positions in 1023rds)
 SUFFIXES = [(".ply", 130), (".splat", 57), (".spz", 44), (".compressed.ply", 47)]
+SUFFIXES += [(".glb", 130), (".sog", 57)]
 
 
 @pytest.mark.parametrize("suffix, least", SUFFIXES)
@@ -228,6 +229,8 @@ def test_a_gltf_has_y_up(out, tmp_path):
     _, values = parsed(tmp_path / "frame_00000.glb")
     turned = np.column_stack([x[:, 0], x[:, 2], -x[:, 1]])
     np.testing.assert_allclose(values["POSITION"], turned, atol=1e-6)
+    capture = registry.read(tmp_path / "frame_00000.glb").x  # half a turn about z of the file
+    np.testing.assert_allclose(capture, turned * [-1, -1, 1], atol=1e-6)
 
 
 def read_sog(path, monkeypatch):
