@@ -196,9 +196,9 @@ def _primitive(
         notes.add_doubt(f"the color space {printable_text(space, 30)!r} is taken as {SRGB!r}")
     if space == LINEAR:
         notes.add_doubt("colors of linear light are turned to sRGB: mixtures of Gaussians differ")
-    names = table.child("attributes").values
-    columns = _Attributes(container, names)
-    if f"{NAME}:SH_DEGREE_{_DEGREES}_COEF_0" in names:
+    attributes = table.child("attributes").values
+    columns = _Attributes(container, attributes)
+    if f"{NAME}:SH_DEGREE_{_DEGREES}_COEF_0" in attributes:
         notes.add_omission(f"colors of degree {_DEGREES} and above")
     primitive = _Primitive(
         position=columns.accessor("POSITION", "POSITION", 3),

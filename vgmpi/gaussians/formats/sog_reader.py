@@ -84,24 +84,24 @@ def _record(meta: JsonObject, version: int) -> tuple[CaptureRecord, bool]:
     """Return what the header tells of the file, and whether its training was antialiased."""
     model = meta.text("model", "default")
     is_antialiased = model == "antialiased" or meta.values.get("antialias") is True
-    source, doubts, omissions = "", (), ()
+    source, doubts, omissions = "", [], []
     if is_antialiased:
         key = f'"model": "{model}"' if model == "antialiased" else '"antialias": true'
         source = f"{_META} says {key}"
     elif model == "2dgs":
-        doubts = ("the Gaussians are flat discs of 2DGS, drawn here as thin ellipsoids",)
+        doubts.append("the Gaussians are flat discs of 2DGS, drawn here as thin ellipsoids")
     elif model != "default":
-        doubts = (f"{_META} names the unknown model {printable_text(model, 30)!r}",)
+        doubts.append(f"{_META} names the unknown model {printable_text(model, 30)!r}")
     if "shN" in meta and meta.child("shN").values.get("bands") == 4:
-        omissions = ("colors of degree 4",)
+        omissions.append("colors of degree 4")
     asset = meta.child("asset") if "asset" in meta else JsonObject({}, "asset")
     generator = printable_text(asset.text("generator", ""))
     record = CaptureRecord(
         encoding=f".sog, version {version}",
         render_model_source=source,
         comments=(f"generator: {generator}",) if generator else (),
-        doubts=doubts,
-        omissions=omissions,
+        doubts=tuple(doubts),
+        omissions=tuple(omissions),
     )
     return record, is_antialiased
 
