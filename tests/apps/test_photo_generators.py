@@ -6,13 +6,14 @@ import os
 import signal
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from tests.support import drawn_photograph, duck_photograph
 from tests.support.launch import ROOT, finish, start, until
-from vgmpi.apps.photo import external_generators
+from vgmpi.apps.photo import body_sources, external_generators
 from vgmpi.apps.photo import layout_config as layouts
 from vgmpi.apps.photo.__main__ import main
 from vgmpi.apps.photo.layout_config import BodiesTable
@@ -214,3 +215,13 @@ def test_a_folder_of_bodies_goes_before(tmp_path):
     assert go(tmp_path) == 0
     told = layouts.read(tmp_path / "layout.toml").layout.object[0]
     assert abs((told.yaw - 40 + 180) % 360 - 180) <= 10
+
+
+def test_a_glb_beside_a_mesh_is_not_taken_for_gaussians(tmp_path):
+    """Generators write meshes as .glb, too."""
+    layout = SimpleNamespace(bodies=SimpleNamespace(folder="mine"))
+    loaded = SimpleNamespace(layout=layout, path=lambda name: tmp_path)
+    duck = SimpleNamespace(name="duck", body=None, reconstruction=None, multi_view=None)
+    for suffix in (".glb", ".obj", ".ksplat", ".ply"):
+        (tmp_path / f"duck{suffix}").touch()
+        assert body_sources._body_file(duck, loaded) == tmp_path / f"duck{suffix}"
