@@ -18,6 +18,7 @@ import numpy as np
 from tqdm import tqdm
 
 from vgmpi.gaussians.cloud import GaussianCloud, principal_axes
+from vgmpi.gaussians.coordinate_frames import to_ply_frame
 from vgmpi.gaussians.formats import gltf, registry, sog, spz
 from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.rendering import image_io, render_config
@@ -202,7 +203,7 @@ def _export(args: argparse.Namespace, folder: Path) -> None:
         if up != "z":
             gaussians = gaussians.transformed(UP[up])
         if suffix == registry.GLTF:
-            gaussians = gltf.from_gltf_axes(gaussians)  # --up names an axis of the file
+            gaussians = to_ply_frame(gaussians, gltf.FRAME)  # --up names an axis of the file
         for line in losses(gaussians, suffix):
             kind = line.split(":")[0]
             if kind not in reported:  # each kind is reported once

@@ -58,10 +58,18 @@ def to_ply_frame(cloud: GaussianCloud, frame: str) -> GaussianCloud:
     matrix = axis_matrix(frame)
     order, signs = np.abs(matrix), matrix.sum(axis=0)
     quat = cloud.quat * np.append(1.0, signs[[1, 0, 0]] * signs[[2, 2, 1]])
-    if not np.array_equal(order, np.eye(3)):
+    if np.array_equal(order, np.eye(3)):  # only signs change: exact
+        sh = cloud.sh * _coefficient_signs(matrix, cloud.sh.shape[1])[:, None]
+    else:
         quat = quaternion_product(quaternion(np.round(np.linalg.det(order)) * order), quat)
-    sh = cloud.sh if frame == PLY_FRAME else harmonics.rotate(cloud.sh, matrix)
+        sh = harmonics.rotate(cloud.sh, matrix)
     return replace(cloud, x=cloud.x @ matrix.T, quat=quat, sh=sh)
+
+
+def _coefficient_signs(matrix: np.ndarray, count: int) -> np.ndarray:
+    """Return the signs (count,) of SH coefficients under a diagonal matrix of signs (3, 3)."""
+    units = np.repeat(np.eye(count)[:, :, None], 3, axis=2)
+    return np.rint(np.diagonal(harmonics.rotate(units, matrix)[..., 0])).astype(np.float32)
 
 
 def in_ply_frame(cloud: GaussianCloud, frame: str | None, encoding: str) -> GaussianCloud:

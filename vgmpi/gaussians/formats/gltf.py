@@ -6,24 +6,18 @@ about z from those of a .ply (right, down, forward).
 """
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from vgmpi.gaussians.cloud import GaussianCloud
+from vgmpi.gaussians.coordinate_frames import to_ply_frame
 from vgmpi.runtime.atomic_write import replace_file
 
 from .gltf_container import BYTE, FLOAT, TYPES
-from .gltf_reader import NAME, SRGB, read, turn_half
+from .gltf_reader import FRAME, NAME, SRGB, read
 
-__all__ = ["NAME", "from_gltf_axes", "read", "write"]
-
-
-def from_gltf_axes(cloud: GaussianCloud) -> GaussianCloud:
-    """Return a cloud in the axes of a .ply of one in the axes of glTF; only signs change."""
-    x, quat, sh = turn_half(cloud.x, cloud.quat, cloud.sh)
-    return replace(cloud, x=x, quat=quat, sh=sh)
+__all__ = ["FRAME", "NAME", "read", "write"]
 
 
 def write(path: str | Path, cloud: GaussianCloud) -> None:
@@ -32,8 +26,7 @@ def write(path: str | Path, cloud: GaussianCloud) -> None:
     Raises:
         OSError: If the file cannot be written.
     """
-    turned = from_gltf_axes(cloud)  # a whole turn changes the sign of a quaternion
-    header, data = _encode_buffers(_attributes(replace(turned, quat=-turned.quat)))
+    header, data = _encode_buffers(_attributes(to_ply_frame(cloud, FRAME)))  # its own inverse
     text = json.dumps(header, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     data += b"\0" * (-len(data) % 4)

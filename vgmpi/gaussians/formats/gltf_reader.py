@@ -1,8 +1,7 @@
 """Reader of glTF files of Gaussians (KHR_gaussian_splatting), .glb and .gltf with files beside it.
 
-All Gaussians of the scene are read, with the transformations of their nodes. The axes of glTF are
-left, up, forward; here a cloud is what its .ply would hold (right, down, forward): half a turn
-about z, on reading and on writing.
+All Gaussians of the scene are read, with the transformations of their nodes, in the axes of glTF:
+left, up, forward.
 
 References:
     github.com/KhronosGroup/glTF, extensions/2.0/Khronos/KHR_gaussian_splatting
@@ -32,9 +31,7 @@ from .validation import Columns, GaussianFileError, naming_file, read_validated
 
 NAME = "KHR_gaussian_splatting"
 SRGB, LINEAR = "srgb_rec709_display", "lin_rec709_display"
-HALF_TURN = np.array([-1.0, -1.0, 1.0])
-# sign of coefficients 0..15 under that half turn: odd orders change it
-HALF_TURN_SH = np.array([1, -1, 1, -1, 1, -1, 1, -1, 1, -1, 1, -1, 1, -1, 1, -1], np.float32)
+FRAME = "LUF"  # of every glTF file: left, up, forward
 _MAX_PRIMITIVES = 1024  # placed sets of points
 _DEGREES = 4  # degrees that are read: 0 to 3
 # component types that the extension allows: float32, and whole numbers, normalized or not
@@ -87,14 +84,13 @@ def read(path: str | Path) -> GaussianCloud:
         terms = max(len(primitive.colors) for primitive in primitives)
 
         def decoded(start: int, stop: int) -> Columns:
-            """Decode a range of rows of all primitives, in the axes of a .ply."""
+            """Decode a range of rows of all primitives."""
             parts, first = [], 0
             for primitive, count in zip(primitives, counts):
                 low, high = max(start - first, 0), min(stop - first, count)
                 if low < high:
                     x, quat, scale, opacity, sh = primitive.columns(low, high)
                     sh = np.pad(sh, ((0, 0), (0, terms - sh.shape[1]), (0, 0)))
-                    x, quat, sh = turn_half(x, quat, sh)
                     parts.append((x, quat, scale, opacity, sh))
                 first += count
             return tuple(np.concatenate(column) for column in zip(*parts))
@@ -104,22 +100,13 @@ def read(path: str | Path) -> GaussianCloud:
         return replace(cloud, record=_record(container.header, suffix, notes))
 
 
-def turn_half(
-    x: np.ndarray, quat: np.ndarray, sh: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return centers, rotations and colors after half a turn about z; only signs change."""
-    w, i, j, k = np.moveaxis(quat, 1, 0)
-    quat = np.stack([-k, -j, i, w], axis=1)
-    return x * HALF_TURN, quat, sh * HALF_TURN_SH[: sh.shape[1], None]
-
-
 def _record(header: JsonObject, suffix: str, notes: "_Notes") -> CaptureRecord:
     """Return what the header tells of the file."""
     generator = printable_text(header.child("asset").text("generator", ""))
     return CaptureRecord(
         encoding=f"{suffix}, {NAME}",
-        frame="LUF",
-        frame_source="glTF has left, up, forward; turned to the axes of a .ply",
+        frame=FRAME,
+        frame_source="the axes of glTF",
         comments=(f"generator: {generator}",) if generator else (),
         doubts=tuple(notes.doubts),
         omissions=tuple(notes.omissions),
