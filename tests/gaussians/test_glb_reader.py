@@ -145,7 +145,7 @@ def test_all_primitives_of_all_nodes_of_the_scene(tmp_path):
     )
     higher = got.sh[:, 1:].reshape(4, 4, -1)
     assert higher[0].all() and not higher[1].any() and higher[2].all() and not higher[3].any()
-    assert got.record.omissions == ("meshes without Gaussians",)
+    assert got.record.omissions == ("meshes without Gaussians are left out",)
 
 
 def test_without_a_scene_all_nodes_count(tmp_path):
@@ -222,7 +222,9 @@ def test_linear_colors_become_srgb(tmp_path):
 def test_degree_4_is_left_out_and_told(tmp_path):
     columns = made.gltf_columns(degree=4)
     got = read(tmp_path / "a.glb", *made.gltf_parts(columns))
-    assert got.sh.shape == (4, 16, 3) and got.record.omissions == ("colors of degree 4 and above",)
+    assert got.sh.shape == (4, 16, 3) and got.record.omissions == (
+        "colors of degree 4 are left out, the highest is 3",
+    )
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ References:
 """
 
 import contextlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +22,7 @@ from vgmpi.gaussians.cloud import (
     quaternion_product,
     rotation_matrices,
 )
-from vgmpi.gaussians.spherical_harmonics import dc_from_rgb, rgb_from_dc, rotate
+from vgmpi.gaussians.spherical_harmonics import dc_from_rgb, degree_omissions, rgb_from_dc, rotate
 
 from .gltf_container import Accessor, Container
 from .gltf_nodes import NodeTransform, scene_meshes
@@ -95,9 +95,8 @@ def read(path: str | Path) -> GaussianCloud:
                 first += count
             return tuple(np.concatenate(column) for column in zip(*parts))
 
-        cloud = read_validated(sum(counts), decoded)
-        suffix = path.suffix.lower()
-        return replace(cloud, record=_record(container.header, suffix, notes))
+        record = _record(container.header, path.suffix.lower(), notes)
+        return read_validated(sum(counts), decoded, record)
 
 
 def _record(header: JsonObject, suffix: str, notes: "_Notes") -> CaptureRecord:
@@ -150,7 +149,7 @@ def _primitives(container: Container) -> tuple[list[_Primitive], _Notes]:
             if len(primitives) > _MAX_PRIMITIVES:
                 raise GaussianFileError(f"has more than {_MAX_PRIMITIVES:,} sets of Gaussians")
     if has_others:
-        notes.add_omission("meshes without Gaussians")
+        notes.add_omission("meshes without Gaussians are left out")
     if not primitives:
         hint = ": a mesh? Convert it to .obj" if has_others else ""
         raise GaussianFileError(f"holds no Gaussians of {NAME} in its scene{hint}")
@@ -186,7 +185,8 @@ def _primitive(
     attributes = table.child("attributes").values
     columns = _Attributes(container, attributes)
     if f"{NAME}:SH_DEGREE_{_DEGREES}_COEF_0" in attributes:
-        notes.add_omission(f"colors of degree {_DEGREES} and above")
+        for text in degree_omissions(_DEGREES):
+            notes.add_omission(text)
     primitive = _Primitive(
         position=columns.accessor("POSITION", "POSITION", 3),
         rotation=columns.accessor(f"{NAME}:ROTATION", "ROTATION", 4),

@@ -12,7 +12,7 @@ References:
 
 import os
 import struct
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
@@ -105,9 +105,8 @@ def read(path: str | Path) -> GaussianCloud:
         bounds = (header.min_color or -_MAX_COLOR, header.max_color or _MAX_COLOR)
         terms = max(_TERMS[section.degree] for section in sections)
         decoder = _Decoder(file, sections, terms, bounds if level == 2 else None)
-        cloud = read_validated(count, decoder)
         record = CaptureRecord(encoding=f".ksplat, version 0.1, compression level {level}")
-        return replace(cloud, record=record)
+        return read_validated(count, decoder, record)
 
 
 def _sections(file: BinaryIO, size: int, section_count: int, level: int) -> list[_Section]:

@@ -25,6 +25,7 @@ import numpy as np
 
 from vgmpi.gaussians.capture_record import CaptureRecord
 from vgmpi.gaussians.cloud import GaussianCloud
+from vgmpi.gaussians.spherical_harmonics import degree_omissions
 
 from .json_header import JsonObject, parse_header, printable_text
 from .validation import Columns, GaussianFileError, naming_file, read_validated, validate_count
@@ -64,9 +65,9 @@ def read(path: str | Path) -> GaussianCloud:
             raise GaussianFileError(
                 f"claims {count:,} Gaussians out of {archive.size:,} bytes: made to fill the memory"
             )
-        cloud = read_validated(count, _decoder(meta, archive, count, version))
         record, is_antialiased = _record(meta, version)
-        return replace(cloud, record=record, is_antialiased=is_antialiased)
+        cloud = read_validated(count, _decoder(meta, archive, count, version), record)
+        return replace(cloud, is_antialiased=is_antialiased)
 
 
 def _count_of_version_1(meta: JsonObject) -> int:
@@ -93,7 +94,7 @@ def _record(meta: JsonObject, version: int) -> tuple[CaptureRecord, bool]:
     elif model != "default":
         doubts.append(f"{_META} names the unknown model {printable_text(model, 30)!r}")
     if "shN" in meta and meta.child("shN").values.get("bands") == 4:
-        omissions.append("colors of degree 4")
+        omissions += degree_omissions(4)
     asset = meta.child("asset") if "asset" in meta else JsonObject({}, "asset")
     generator = printable_text(asset.text("generator", ""))
     record = CaptureRecord(

@@ -53,11 +53,11 @@ def read(path: str | Path) -> GaussianCloud:
         header, attributes, records = unpack_file(file)
         columns = [part.reshape(header.count, -1) for part in attributes]
         cloud = read_validated(
-            header.count, lambda a, b: _decoded(header, *(column[a:b] for column in columns))
+            header.count,
+            lambda a, b: _decoded(header, *(column[a:b] for column in columns)),
+            _capture_record(header, records),
         )
-    is_antialiased = bool(header.flags & ANTIALIASED)
-    record = _capture_record(header, records)
-    return replace(cloud, is_antialiased=is_antialiased, record=record)
+    return replace(cloud, is_antialiased=bool(header.flags & ANTIALIASED))
 
 
 def write(path: str | Path, cloud: GaussianCloud, version: int = DEFAULT_VERSION) -> None:
