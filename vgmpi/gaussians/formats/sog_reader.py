@@ -85,7 +85,8 @@ def _record(meta: JsonObject, version: int) -> tuple[CaptureRecord, bool]:
     """Return what the header tells of the file, and whether its training was antialiased."""
     model = meta.text("model", "default")
     is_antialiased = model == "antialiased" or meta.values.get("antialias") is True
-    source, doubts, omissions = "", [], []
+    source, doubts = "", []
+    omissions: list[str] = []
     if is_antialiased:
         key = f'"model": "{model}"' if model == "antialiased" else '"antialias": true'
         source = f"{_META} says {key}"
