@@ -20,9 +20,11 @@ from tqdm import tqdm
 from vgmpi.gaussians.cloud import GaussianCloud, principal_axes
 from vgmpi.gaussians.coordinate_frames import to_ply_frame
 from vgmpi.gaussians.formats import gltf, registry, sog, spz
+from vgmpi.gaussians.render_models import with_render_model
 from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.rendering import image_io, render_config
 from vgmpi.rendering.appearance import Appearance
+from vgmpi.rendering.export_model import file_render_model
 from vgmpi.rendering.particle_surface import SMOOTHING_STEPS
 from vgmpi.runtime.exit_handler import exit_code_from_exceptions
 
@@ -31,6 +33,7 @@ from . import export_moving, point_export, surface_export
 log = logging.getLogger("vgmpi")
 
 GAUSSIAN_FORMATS = [suffix.removeprefix(".") for suffix in registry.WRITTEN]
+WITHOUT_MODEL = (".splat", registry.GLTF)  # formats that do not say how opacities are meant
 Y_UP = ("glb", "obj")  # formats that programs read with y up
 
 # rotations of the domain's z axis to the up axis of the file
@@ -104,6 +107,9 @@ def losses(gaussians: GaussianCloud, suffix: str) -> list[str]:
             f"opacities are 255ths in a {suffix}: {faint:,} of {len(gaussians):,} Gaussians vanish"
         )
         lines.append(f"{text}; a .ply keeps them")
+    if gaussians.is_antialiased and suffix in WITHOUT_MODEL:
+        text = f"a {suffix} holds no render model: viewers draw Gaussians of antialiased training"
+        lines.append(f"{text} as classic, and small ones too opaque")
     return lines
 
 
@@ -198,8 +204,11 @@ def _export(args: argparse.Namespace, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     suffix, version = f".{args.format}", args.spz_version or spz.DEFAULT_VERSION
     reported: set[str] = set()
+    model, differing = file_render_model(run, not args.no_scenery)
+    if differing and suffix not in WITHOUT_MODEL:
+        log.warning("%s", differing)
     for index in tqdm(numbers, unit="frame", disable=True if args.quiet else None):
-        gaussians = cloud(look, look.frame(index), not args.no_scenery)
+        gaussians = with_render_model(cloud(look, look.frame(index), not args.no_scenery), model)
         if up != "z":
             gaussians = gaussians.transformed(UP[up])
         if suffix == registry.GLTF:

@@ -82,7 +82,8 @@ def export_page(args: argparse.Namespace, numbers: list[int], run: RunReader, pa
     look = Appearance(run, chosen.look)
     motion = RunMotion(look, numbers[len(numbers) // 2], not args.no_scenery)
     accuracy = args.accuracy or ACCURACY
-    writer = MotionWriter(motion.groups, motion.rest, cell=look.cell_size(), accuracy=accuracy)
+    groups = web_page.groups_as_drawn(motion.groups, chosen)
+    writer = MotionWriter(groups, motion.rest, cell=look.cell_size(), accuracy=accuracy)
     for index in tqdm(numbers, unit="frame", disable=True if args.quiet else None):
         frame = look.frame(index)
         writer.add_frame(float(run.times[index]), motion.states(frame), motion.poses(frame))
@@ -109,6 +110,11 @@ def export_usd(args: argparse.Namespace, numbers: list[int], run: RunReader, pat
     views = [CameraPath(entry, chosen.picture, box, folder) for entry in chosen.views()]
     look = Appearance(run, chosen.look)
     motion = RunMotion(look, numbers[len(numbers) // 2], not args.no_scenery)
+    if antialiased := [group.name for group in motion.groups if group.compensated_lowpass]:
+        log.warning(
+            "OpenUSD holds no render model: a viewer draws what was trained antialiased as classic,"
+            " and small Gaussians too opaque: %s", ", ".join(antialiased),
+        )  # fmt: skip
     times = run.times[numbers]
     rate = 1 / float(np.median(np.diff(times))) if len(times) > 1 else 24.0
     path.parent.mkdir(parents=True, exist_ok=True)

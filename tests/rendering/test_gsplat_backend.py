@@ -6,6 +6,7 @@ comes back is compared with the processor's picture.
 
 import sys
 from contextlib import nullcontext
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -93,6 +94,30 @@ def test_draws_what_the_processor_draws(card, lowpass, antialias):
     assert len(rasterize.render(splats, seen, backend="gsplat")) == 2
     twice = rasterize.render(splats, seen, backend="gsplat", supersample=2)[0]
     assert np.abs(twice - rasterize.render(splats, seen, supersample=2)[0]).mean() < 1e-5
+
+
+def mixed(splats, *values):
+    """The Gaussians with lowpasses of their own."""
+    own = np.random.default_rng(0).choice(values, len(splats.x))
+    return replace(splats, compensated_lowpass=own)
+
+
+@pytest.mark.parametrize("values", [(0.0, 0.3), (0.1, 0.1), (0.0, 0.0)])
+def test_draws_gaussians_by_their_render_models(card, values):
+    splats, seen = mixed(scene(150, 3), *values), camera()
+    got = rasterize.render(splats, seen, backend="gsplat")
+    for a, b in zip(got, rasterize.render(splats, seen)):
+        assert np.quantile(np.abs(a - b), 0.999) < 1e-4
+    other = replace(splats, compensated_lowpass=None)
+    told_apart = np.abs(got[0] - rasterize.render(other, seen)[0]).max() > 0.01
+    assert told_apart == any(values)
+
+
+def test_several_lowpasses_in_one_picture_are_refused(card):
+    splats = mixed(scene(150, 3), 0.0, 0.1)
+    with pytest.raises(BackendError, match="one lowpass"):
+        rasterize.render(splats, camera(), backend="gsplat")
+    rasterize.render(splats, camera(), backend="gsplat", lowpass=0.1)
 
 
 def test_covariances_are_whole_and_symmetric(card):

@@ -76,7 +76,23 @@ def test_everything_may_be_said(tmp_path):
 def test_a_fixed_camera(tmp_path):
     s = load(tmp_path, '[camera]\nkind = "fixed"\neye = [1, 2, 3]')
     assert s.camera[0].eye == (1, 2, 3)
-    assert s.splatting.options() == {"lowpass": 0.3, "antialias": False}
+    assert s.splatting.options() == {"lowpass": None, "antialias": None}  # as each capture says
+
+
+@pytest.mark.parametrize(
+    "said, lowpass, antialias",
+    [
+        ('mode = "capture"', None, None),
+        ("lowpass = 0.2", 0.2, None),
+        ('mode = "classic"', 0.3, False),
+        ('mode = "antialias"', 0.3, True),
+        ('mode = "mip"', 0.1, True),
+        ('mode = "mip"\nlowpass = 0.3', 0.3, True),
+    ],
+)
+def test_a_mode_of_splatting_is_for_all_objects(tmp_path, said, lowpass, antialias):
+    s = load(tmp_path, f"[splatting]\n{said}")
+    assert s.splatting.options() == {"lowpass": lowpass, "antialias": antialias}
 
 
 @pytest.mark.parametrize(

@@ -101,7 +101,7 @@ def test_the_samples_are_the_frames(out, stage, index):
     assert (np.abs(got.cov() - cov) < 1e-5 * largest).all()
     np.testing.assert_allclose(got.opacity, opacity, atol=1e-6)
     eye = np.array([2.0, -1, 1])
-    color = np.concatenate([part.view_from(eye)[3] for part in parts])[rows]
+    color = np.concatenate([part.view_from(eye).color for part in parts])[rows]
     seen = np.maximum(harmonics.evaluate(got.sh, got.x - eye), 0)
     np.testing.assert_allclose(seen, color, atol=1e-5)
     other = cloud_at(stage, (index + 2) % FRAMES)

@@ -86,14 +86,16 @@ def depths(x, cov, opacity, camera, *, lowpass=0.3, antialias=False, alpha_min=1
 
 
 def blended(x, cov, opacity, camera, lowpass, antialias, alpha_min):
-    """Number, depth and alpha (height, width), 0 where it does not count, from near to far."""
+    """Number, depth and alpha (height, width), 0 where it does not count, from near to far.
+
+    lowpass, antialias: of all, or of each (n,).
+    """
     width, height = camera.width, camera.height
     lens = camera.fx, camera.fy, camera.cx, camera.cy
     depth, mean, flat = project(x, cov, camera.world_to_camera, *lens, width, height)
-    wide = flat + lowpass * np.eye(2)
-    if antialias:
-        ratio = np.linalg.det(flat) / np.linalg.det(wide)
-        opacity = opacity * np.sqrt(np.maximum(ratio, 0.005**2))
+    wide = flat + np.broadcast_to(lowpass, len(x))[:, None, None] * np.eye(2)
+    ratio = np.linalg.det(flat) / np.linalg.det(wide)
+    opacity = opacity * np.where(antialias, np.sqrt(np.maximum(ratio, 0.005**2)), 1.0)
     px, py = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     left = np.ones((height, width))
     stopped = np.zeros((height, width), dtype=bool)

@@ -23,6 +23,8 @@ class GaussianCloud:
             and at most 1; None where there is none.
         is_antialiased: Whether the opacities are those of antialiased training: a renderer
             multiplies each by sqrt(det / det') for the variance that it adds in pixels.
+        lowpass: Variance that the renderer of that training added [pixels^2]: 0.1 as Mip-Splatting
+            and Brush, whose mark files carry, 0.3 as gsplat. It has no meaning for other clouds.
         labels: Integer columns of the file by name, each of shape (n,).
         record: What the reader learned of the file; None for clouds that were not read.
     """
@@ -34,6 +36,7 @@ class GaussianCloud:
     sh: np.ndarray
     shade: np.ndarray | None = None
     is_antialiased: bool = False
+    lowpass: float = 0.1
     labels: dict[str, np.ndarray] = field(default_factory=dict)
     record: CaptureRecord | None = None
 

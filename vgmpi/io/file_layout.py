@@ -180,6 +180,8 @@ GAUSSIAN_TEXTS = [
         "color_group (objects with the same number exchange colors), "
         "bulk density [kg/m3], first_row and row_count, opacity_scale, alpha_min, "
         "color, collider, is_moving (frames contain the `poses` of these objects), "
+        "render_model (antialiased or mip, only for captures trained so: opacities are compensated "
+        "for the 0.3 or 0.1 pixels^2 that a renderer adds), "
         "regions (parts of another material: its name, density, first_row and row_count), "
         "and transform (4 x 4, source coordinates -> domain coordinates [m])",
     ),

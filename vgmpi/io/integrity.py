@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 
+from vgmpi.gaussians.render_models import COMPENSATED_LOWPASS
 from vgmpi.runtime.config import renamed_keys
 
 from . import checkpoint_manifest, file_layout, hdf5_validation
@@ -205,6 +206,9 @@ def check_objects(gaussians: SimpleNamespace) -> None:
     objects = gaussians.objects
     if not isinstance(objects, list) or not all(isinstance(entry, dict) for entry in objects):
         raise CorruptFileError("objects is no list of objects")
+    for entry in objects:
+        if str(entry.get("render_model", "classic")) not in COMPENSATED_LOWPASS:
+            raise CorruptFileError("objects names a render model that is not known")
     if not isinstance(gaussians.scene, dict):
         raise CorruptFileError("scene is no scene")
     for prefix in ("", "scenery/", "passive/"):

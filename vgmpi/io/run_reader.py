@@ -335,6 +335,7 @@ def _summary(path, f, kind):
             "object {}: {} {}, {} rows from {}".format(
                 i, *(o.get(k, "-") for k in ("name", "kind", "row_count", "first_row"))
             )
+            + (f", render model {o['render_model']}" if "render_model" in o else "")
             for i, o in enumerate(objects)
         ]
     attrs = json.loads(f["attrs"][()])

@@ -9,6 +9,7 @@ from vgmpi.gaussians.capture_notes import log_capture_notes
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import registry
 from vgmpi.gaussians.formats.validation import MAX_MAGNITUDE
+from vgmpi.gaussians.render_models import with_render_model
 from vgmpi.gaussians.shape_evolution import FAMILIES_DRAWN_AS_SPHERES
 from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
 from vgmpi.preprocess.meshes import point_in_mesh
@@ -201,6 +202,8 @@ def _from_gaussians(scene: Scene, k: int, obj: Object) -> BuiltObject:
     cloud = registry.read(scene.files[obj.name], obj.frame)
     log_capture_notes(f"'{obj.name}'", cloud)
     cloud = crop(cloud, obj.select)
+    if obj.render_model is not None:
+        cloud = with_render_model(cloud, obj.render_model)
     if not len(cloud):
         raise PlacementError("select", "selects no Gaussian of the file")
     floaters = capture_floaters(obj, cloud)

@@ -9,6 +9,7 @@ import numpy as np
 import scipy
 
 from vgmpi.gaussians.formats.validation import GaussianFileError
+from vgmpi.gaussians.render_models import render_model
 from vgmpi.planning.color_exchange import color_sets
 from vgmpi.planning.particle_channels import SURFACE
 from vgmpi.planning.phases_and_groups import phases_with_surface, stores_deformation
@@ -322,6 +323,7 @@ def _describe(
     regions = region_entries(scene, entity, piece, first) if isinstance(entity, Object) else []
     is_moving = entity.collider and (entity.motion or entity.free_body) is not None
     material = scene.material[entity.material] if entity.material else None
+    model = render_model(piece.cloud)
     family = material.family if material else None
     return (
         {
@@ -344,6 +346,7 @@ def _describe(
             "surface": piece.surface_descriptor is not None,
         }
         | ({"is_moving": True} if is_moving else {})
+        | ({"render_model": model} if model != "classic" else {})
         | ({"regions": regions} if regions else {})
     )
 

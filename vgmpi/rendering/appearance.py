@@ -5,8 +5,9 @@ import logging
 import numpy as np
 
 from vgmpi.gaussians import compiled_evolution, shape_evolution
+from vgmpi.gaussians.render_models import COMPENSATED_LOWPASS
 from vgmpi.io.run_reader import RunError
-from vgmpi.rendering.raster.rasterize import ALPHA_MIN, ProjectableGaussians
+from vgmpi.rendering.raster.rasterize import ALPHA_MIN, ProjectableGaussians, join_gaussians
 from vgmpi.runtime.suggestions import did_you_mean
 
 from .frame_colors import FrameColors
@@ -21,6 +22,7 @@ from .frame_gaussians import (
     Scenery,
     ViewColors,
     moving,
+    select_rows,
 )
 from .render_config import LookSettings, SettingsError
 
@@ -61,13 +63,15 @@ class Appearance:
         self.brightness_jitter = _brightness_jitter(self.objects, chosen)
         self.color = ViewColors(np.asarray(gaussians.sh))
         self.colors = FrameColors(run, chosen)
+        own = _compensated_lowpass(self.objects)
+        self.compensated_lowpass = select_rows(own, self.object)
         self.scenery = None
         scenery = getattr(gaussians, "scenery", None)
         if scenery is not None and len(scenery.x0):
-            self.scenery = Scenery(scenery, self.objects, factor)
+            self.scenery = Scenery(scenery, self.objects, factor, own)
         self.passive = None
         if getattr(gaussians, "passive", None) is not None:
-            self.passive = Passive(gaussians, rules, turns, factor)
+            self.passive = Passive(gaussians, rules, turns, factor, own)
 
     def cell_size(self) -> float:
         """Return the edge of a grid cell [m]; the particles' distance if the scene has no cell."""
@@ -115,7 +119,12 @@ class Appearance:
             color, color_rows = ViewColors(np.asarray(frame["sh"])), np.arange(len(rows))
         turning = np.flatnonzero(self.turns[rows] & color.view_dependent[color_rows])
         F = _deformation(frame)[turning] if len(turning) else None
-        parts = [GaussianBatch(x, cov, self.opacity[rows], color, color_rows, turning, F)]
+        own = select_rows(self.compensated_lowpass, rows)
+        parts = [
+            GaussianBatch(
+                x, cov, self.opacity[rows], color, color_rows, turning, F, compensated_lowpass=own
+            )
+        ]
         if self.brightness_jitter is not None:
             jitter = self.brightness_jitter[self.object[rows]] * _random(rows)
             parts[0] = parts[0].scaled_brightness(1 + jitter)
@@ -191,10 +200,15 @@ class Appearance:
 
 def view_dependent_splats(parts: list[GaussianBatch], eye: np.ndarray) -> ProjectableGaussians:
     """Join the parts of a frame into the Gaussians as seen from `eye` [m]."""
-    arrays = [part.view_from(eye) for part in parts]
-    if len(arrays) == 1:
-        return ProjectableGaussians(*arrays[0])
-    return ProjectableGaussians(*(np.concatenate(fields) for fields in zip(*arrays)))
+    return join_gaussians([part.view_from(eye) for part in parts])
+
+
+def _compensated_lowpass(objects: list[dict]) -> np.ndarray | None:
+    """Return the compensated variance of each object [pixels^2], None if all are classic."""
+    models = [entry.get("render_model", "classic") for entry in objects]
+    if all(model == "classic" for model in models):
+        return None
+    return np.array([COMPENSATED_LOWPASS[model] for model in models])
 
 
 def _brightness_jitter(objects: list[dict], chosen: LookSettings) -> np.ndarray | None:

@@ -6,6 +6,7 @@ import numpy as np
 
 from vgmpi.gaussians import compiled_evolution, shape_evolution
 from vgmpi.gaussians import spherical_harmonics as harmonics
+from vgmpi.rendering.raster.rasterize import ProjectableGaussians
 
 # Rules by which the shapes of a body's Gaussians follow the particles.
 FIXED = 0  # the shape at rest is kept
@@ -40,6 +41,7 @@ class GaussianBatch(NamedTuple):
     color, rows: their coefficients are color.sh[rows], (n, K, 3). turning: indices of Gaussians
     whose colors have turned with the rotations in F (m, 9). bright: factor on the colors, (n,).
     rider_rows, deformation: for Gaussians carried by particles, their indices and their F (n, 9).
+    compensated_lowpass: see ProjectableGaussians.
     """
 
     x: np.ndarray
@@ -52,9 +54,10 @@ class GaussianBatch(NamedTuple):
     bright: np.ndarray | None = None
     rider_rows: np.ndarray | None = None
     deformation: np.ndarray | None = None
+    compensated_lowpass: np.ndarray | None = None
 
-    def view_from(self, eye: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return the fields of Splats for an `eye` [m]."""
+    def view_from(self, eye: np.ndarray) -> ProjectableGaussians:
+        """Return the Gaussians as seen from an `eye` [m]."""
         directions = self.x - eye
         if len(self.turning):  # the color towards d is the rest color towards R^T d
             assert self.F is not None
@@ -64,7 +67,14 @@ class GaussianBatch(NamedTuple):
         color = self.color(self.rows, directions)
         if self.bright is not None:
             color = color * self.bright[:, None]
-        return self.x, self.cov, self.opacity, color
+        lowpass = self.compensated_lowpass
+        return ProjectableGaussians(self.x, self.cov, self.opacity, color, lowpass)
+
+    def without_color(self) -> ProjectableGaussians:
+        """Return the Gaussians in black."""
+        black = np.zeros((len(self.x), 3))
+        lowpass = self.compensated_lowpass
+        return ProjectableGaussians(self.x, self.cov, self.opacity, black, lowpass)
 
     def scaled_brightness(self, factor: np.ndarray) -> "GaussianBatch":
         """Return the Gaussians with colors multiplied by `factor` (n,)."""
@@ -78,6 +88,7 @@ class GaussianBatch(NamedTuple):
             self.x[mask], self.cov[mask], self.opacity[mask], self.color, self.rows[mask],
             new_row[self.turning[turning_mask]], None if self.F is None else self.F[turning_mask],
             None if self.bright is None else self.bright[mask],
+            compensated_lowpass=select_rows(self.compensated_lowpass, mask),
         )  # fmt: skip
 
     def subset_rows(self, rows: np.ndarray) -> "GaussianBatch":
@@ -99,21 +110,27 @@ class Scenery:
     """Gaussians without mass that are static or move as rigid bodies.
 
     rows: scenery of gaussians.h5. objects: entries of that file. factor: factor on the opacities of
-    each object.
+    each object. lowpass: compensated variance of each object [pixels^2], or None.
     """
 
-    def __init__(self, rows, objects: list[dict], factor: np.ndarray):
+    def __init__(
+        self, rows, objects: list[dict], factor: np.ndarray, lowpass: np.ndarray | None = None
+    ):
         self.x0 = np.asarray(rows.x0, dtype=np.float64)
         self.cov0 = np.asarray(rows.cov0, dtype=np.float64)
         self.opacity = np.asarray(rows.opacity, dtype=np.float64) * factor[rows.object]
         self.color = ViewColors(np.asarray(rows.sh))
+        self.compensated_lowpass = select_rows(lowpass, rows.object)
         self.moving = [np.flatnonzero(rows.object == k) for k in moving(objects)]
 
     def part(self, frame: dict[str, np.ndarray]) -> GaussianBatch:
         """Return the Gaussians at their positions in a frame."""
         all_rows = np.arange(len(self.x0))
+        lowpass = self.compensated_lowpass
         if not self.moving:
-            return GaussianBatch(self.x0, self.cov0, self.opacity, self.color, all_rows)
+            return GaussianBatch(
+                self.x0, self.cov0, self.opacity, self.color, all_rows, compensated_lowpass=lowpass
+            )
         x, cov, turned_rows, F = self.x0.copy(), self.cov0.copy(), [], []
         for members, pose in zip(self.moving, frame["poses"], strict=True):
             rotation = np.broadcast_to(pose[:3, :3].reshape(9), (len(members), 9))
@@ -122,7 +139,15 @@ class Scenery:
             turned_rows.append(members[self.color.view_dependent[members]])
             F.append(rotation[: len(turned_rows[-1])])
         turning = np.concatenate(turned_rows)
-        return GaussianBatch(x, cov, self.opacity, self.color, all_rows, turning, np.concatenate(F))
+        return GaussianBatch(
+            x, cov, self.opacity, self.color, all_rows, turning, np.concatenate(F),
+            compensated_lowpass=lowpass,
+        )  # fmt: skip
+
+
+def select_rows(values: np.ndarray | None, rows: np.ndarray) -> np.ndarray | None:
+    """Return the values of rows, if there are any."""
+    return None if values is None else values[rows]
 
 
 def moving(objects: list[dict]) -> list[int]:
@@ -133,7 +158,10 @@ def moving(objects: list[dict]) -> list[int]:
 class Passive:
     """Gaussians without mass that are carried by particles."""
 
-    def __init__(self, gaussians, rules: np.ndarray, turns: np.ndarray, factor: np.ndarray):
+    def __init__(
+        self, gaussians, rules: np.ndarray, turns: np.ndarray, factor: np.ndarray,
+        lowpass: np.ndarray | None = None,
+    ):  # fmt: skip
         """Precompute what does not depend on the frame.
 
         Args:
@@ -141,6 +169,7 @@ class Passive:
             rules: Shape rule of each object.
             turns: Whether the colors of each object turn with it.
             factor: Factor on the opacities of each object.
+            lowpass: Compensated variance of each object [pixels^2], or None.
         """
         riders = gaussians.passive
         self.count = len(gaussians.object)
@@ -151,6 +180,7 @@ class Passive:
         self.cov0 = np.asarray(riders.cov0, dtype=np.float64)
         self.opacity = np.asarray(riders.opacity, dtype=np.float64) * factor[riders.object]
         self.color = ViewColors(np.asarray(riders.sh))
+        self.compensated_lowpass = select_rows(lowpass, riders.object)
         self.carriers_sh = np.asarray(gaussians.sh)
 
     def part(self, frame: dict[str, np.ndarray]) -> GaussianBatch:
@@ -166,7 +196,10 @@ class Passive:
         turning = np.flatnonzero(self.turns[present] & color.view_dependent[rows])
         cov = self._covariances(present, F)
         opacity = self.opacity[present]
-        return GaussianBatch(x, cov, opacity, color, rows, turning, F[turning], None, present, F)
+        return GaussianBatch(
+            x, cov, opacity, color, rows, turning, F[turning], None, present, F,
+            select_rows(self.compensated_lowpass, present),
+        )  # fmt: skip
 
     def _colors(
         self, frame: dict, present: np.ndarray, carrier_rows: np.ndarray

@@ -223,8 +223,7 @@ class FrameRenderer:
         """Apply the light to the parts, if there is one."""
         if self.light is None:
             return parts
-        x, cov, opacity = (np.concatenate([p[k] for p in parts]) for k in range(3))
-        splats = rasterize.ProjectableGaussians(x, cov, opacity, np.zeros((len(x), 3)))
+        splats = rasterize.join_gaussians([part.without_color() for part in parts])
         liquid = None if self.liquids is None else self.liquids.select_liquids(parts, frame)
         brightness = shadow_lighting.shade(splats, self.light, self.look.spacing, liquid)
         ends = np.cumsum([len(part.x) for part in parts])[:-1]

@@ -15,7 +15,7 @@ from pydantic import (
 )
 
 from vgmpi.rendering.raster.ground_plane import GroundPlane
-from vgmpi.rendering.raster.rasterize import ALPHA_MIN_RANGE
+from vgmpi.rendering.raster.rasterize import ALPHA_MIN_RANGE, LOWPASS
 from vgmpi.rendering.raster.shadow_lighting import Light
 from vgmpi.runtime.config import renamed_keys
 from vgmpi.runtime.config.schema import Color, TomlError, format_validation_errors, parse_color
@@ -261,16 +261,19 @@ class FrameSettings(RenderTable):
 class SplattingSettings(RenderTable):
     """Filter of the rasterizer.
 
-    Captures are trained for mode `classic`; the others keep tiny Gaussians thin.
+    Mode `capture` draws each object by the render model of its capture; the others draw all objects
+    alike.
     """
 
-    mode: Literal["classic", "antialias", "mip"] = "classic"
+    mode: Literal["capture", "classic", "antialias", "mip"] = "capture"
     lowpass: Annotated[float, Field(gt=0, le=2)] | None = None  # [pixels^2]
     alpha_min: Annotated[float, Field(ge=ALPHA_MIN_RANGE[0], le=ALPHA_MIN_RANGE[1])] | None = None
 
     def options(self) -> dict[str, Any]:
-        """Return the arguments of splat.render except alpha_min."""
-        default = 0.1 if self.mode == "mip" else 0.3
+        """Return the arguments of rasterize.render except alpha_min."""
+        if self.mode == "capture":
+            return {"lowpass": self.lowpass, "antialias": None}
+        default = 0.1 if self.mode == "mip" else LOWPASS
         return {"lowpass": self.lowpass or default, "antialias": self.mode != "classic"}
 
 

@@ -79,10 +79,10 @@ class Liquids:
         particle_part = self._particle_part
         particles, fluid = parts[particle_part], self.look.fluid[np.asarray(frame["id"])]
         others = [*parts[:particle_part], particles.subset(~fluid), *parts[particle_part + 1 :]]
-        _, _, opacity, color = particles.subset(fluid).view_from(camera.eye)
+        liquid = particles.subset(fluid).view_from(camera.eye)
         J = np.asarray(frame["J"], dtype=np.float64)[fluid] if "J" in frame else 1.0
         volume = self.look.vol0[np.asarray(frame["id"])[fluid]] * J
-        drawn = liquid_surface.Liquid(particles.x[fluid], np.cbrt(volume), color, opacity)
+        drawn = liquid_surface.Liquid(liquid.x, np.cbrt(volume), liquid.color, liquid.opacity)
         ground = np.full((camera.height, camera.width), np.inf, dtype=np.float32)
         if floor_below is not None:
             ground = ground_plane.ground_depth(floor_below, camera)

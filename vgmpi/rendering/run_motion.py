@@ -25,6 +25,7 @@ from .frame_gaussians import (
     VOLUME_SPHERE,
     GaussianBatch,
     moving,
+    select_rows,
 )
 
 
@@ -75,11 +76,20 @@ class RunMotion:
         self.rest = self._rest()
 
     def _add_group(self, group: MotionGroup, part: str, ids: np.ndarray, x: np.ndarray) -> None:
-        """Append a group with its Gaussians `ids` in the order of their centers `x`."""
-        if len(ids):
-            order = morton_order(x, self.look.spacing)
-            self.groups.append(dataclasses.replace(group, count=len(ids)))
-            self.members.append(_PartGroup(part, ids[order]))
+        """Append a group with its Gaussians `ids` in the order of their centers `x`.
+
+        Gaussians of several render models become several groups.
+        """
+        look: Any = self.look
+        source = {"particles": look, "scenery": look.scenery, "carried": look.passive}[part]
+        own = select_rows(source.compensated_lowpass, ids)
+        own = np.zeros(len(ids)) if own is None else own
+        for variance in np.unique(own):
+            rows = own == variance
+            order = morton_order(x[rows], look.spacing)
+            count, lowpass = len(order), float(variance)
+            self.groups.append(dataclasses.replace(group, count=count, compensated_lowpass=lowpass))
+            self.members.append(_PartGroup(part, ids[rows][order]))
 
     def _add_scenery(self) -> None:
         """Append the scenery: one group of what rests, and one for each object that moves."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .appearance import Appearance
+from .export_model import is_capture
 from .frame_gaussians import GaussianBatch
 from .studio import body_normals, lattice_deformation
 
@@ -90,7 +91,7 @@ class Bodies:
         self.look = look
         gaussians, objects = look.run.gaussians, look.objects
         family = [entry.get("family") for entry in objects]
-        captured = _is_capture(look.run, objects)
+        captured = is_capture(look.run, objects)
         object_ids = look.object
         self.fluid = np.array([f == "fluid" for f in family] or [False])[object_ids]
         self.granular = np.array([f in GRANULAR for f in family] or [False])[object_ids]
@@ -223,15 +224,3 @@ def _kind_shares(captured: np.ndarray) -> np.ndarray:
     out = np.zeros((len(captured), 3))
     out[:, 2] = captured
     return out
-
-
-def _is_capture(run, objects: list[dict]) -> np.ndarray:
-    """Return whether each object's Gaussians come from a file.
-
-    Such Gaussians hold the light of a photograph.
-    """
-    try:
-        files = {o.get("name"): o.get("gaussians") for o in run.scene.get("object", ())}
-    except (AttributeError, TypeError):
-        files = {}
-    return np.array([bool(files.get(entry.get("name"))) for entry in objects] or [False])

@@ -6,7 +6,7 @@ liquids, the occlusion pyramid and the light on the ground. For each camera, opa
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,11 @@ import numpy as np
 
 from vgmpi.gaussians.camera import Camera
 from vgmpi.rendering.raster.liquid_surface import LayeredImage
-from vgmpi.rendering.raster.rasterize import ProjectableGaussians, supersampled_camera
+from vgmpi.rendering.raster.rasterize import (
+    ProjectableGaussians,
+    join_gaussians,
+    supersampled_camera,
+)
 from vgmpi.rendering.studio.depth_of_field import defocus
 from vgmpi.rendering.studio.ray_scene import CHANNELS, Medium, Stage, no_view, view_of
 from vgmpi.rendering.studio.value_grid import Grid
@@ -317,28 +321,27 @@ class Studio:
         self, moment: Moment, eye: np.ndarray
     ) -> tuple[ProjectableGaussians, np.ndarray, np.ndarray]:
         """Return opaque bodies as Gaussians of linear colors, with normals and kinds."""
-        arrays, normals, kinds = [], list(moment.normals), list(moment.kinds)
+        bodies, normals, kinds = [], list(moment.normals), list(moment.kinds)
         for part, shade in zip(moment.parts, moment.shades):
-            x, cov, opacity, color = part.view_from(eye)
-            if shade is not None:
-                color = color / shade[:, None]
-            arrays.append((x, cov, opacity, display.to_linear(np.clip(color, 0, 1))))
+            body = part.view_from(eye)
+            color = body.color if shade is None else body.color / shade[:, None]
+            bodies.append(replace(body, color=display.to_linear(np.clip(color, 0, 1))))
         if moment.grain is not None:
             x, ids, gap, stretch, color, sandy, heap, floor = moment.grain
             look, count = self.chosen.look, self.chosen.look.grains_per_particle
             sand = grain_splats.grains(
                 x, ids, gap, stretch, color, sandy, heap, eye, floor, count, look.dust
             )
-            arrays.append((sand.x, sand.cov, sand.opacity, display.to_linear(sand.color)))
+            color = display.to_linear(sand.color)
+            bodies.append(ProjectableGaussians(sand.x, sand.cov, sand.opacity, color))
             normals.append(sand.normal)
             kinds.append(
                 np.column_stack([sand.sandy, ~sand.sandy, np.zeros(len(sand.x))]).astype(float)
             )
-        if not arrays:
+        if not bodies:
             none = np.zeros((0, 3))
             return ProjectableGaussians(none, np.zeros((0, 6)), np.zeros(0), none), none, none
-        joined = ProjectableGaussians(*(np.concatenate(fields) for fields in zip(*arrays)))
-        return joined, np.concatenate(normals), np.concatenate(kinds)
+        return join_gaussians(bodies), np.concatenate(normals), np.concatenate(kinds)
 
     def _paint(self, splats, normal, kind, fine, view, options):
         """Return albedo, normals, kinds and transmittance; write the depth to the view."""

@@ -5,17 +5,20 @@ would change are escaped: the page is 2 % larger than the bytes.
 """
 
 import html
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from vgmpi.gaussians.formats.motion_layout import MotionGroup
 from vgmpi.gaussians.formats.motion_reader import MotionReader
 from vgmpi.gaussians.formats.validation import GaussianFileError, naming_file
 
 from .appearance import Appearance
 from .camera_paths import CameraPath
+from .raster.rasterize import LOWPASS
 from .render_config import Settings
 
 SCRIPTS = ("motion_decoder.js", "motion_viewer.js", "motion_page.js")
@@ -94,7 +97,7 @@ def view_settings(
     Raises:
         SettingsError: If a camera is wrong.
     """
-    settings = chosen.views()[0]
+    settings, options = chosen.views()[0], chosen.splatting.options()
     camera = CameraPath(settings, chosen.picture, box, folder).camera_at(0.0, 0.0)
     target = camera.axis_point(0.5 * np.sum(box(), axis=0))
     return {
@@ -107,5 +110,19 @@ def view_settings(
         "background": _background_color(chosen.background),
         "alpha_min": look.alpha_min(chosen.splatting.alpha_min),
         "fps": fps,
-        **chosen.splatting.options(),
+        "lowpass": options["lowpass"] or LOWPASS,
+        "antialias": bool(options["antialias"]),
     }
+
+
+def groups_as_drawn(groups: Sequence[MotionGroup], chosen: Settings) -> list[MotionGroup]:
+    """Return the groups with the lowpass that `chosen` draws them with."""
+    options = chosen.splatting.options()
+
+    def lowpass(group: MotionGroup) -> float:
+        """Return the compensated variance of a group [pixels^2]."""
+        if options["antialias"] is not None or not group.compensated_lowpass:
+            return 0.0
+        return options["lowpass"] or group.compensated_lowpass
+
+    return [replace(group, compensated_lowpass=lowpass(group)) for group in groups]

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, PrivateAttr
 
+from vgmpi.gaussians.render_models import RenderModel
 from vgmpi.runtime.config.schema import (
     Color,
     Point,
@@ -32,23 +33,10 @@ from .thin_walls import validate_thin
 SOURCES = ("gaussians", "mesh", "shape")
 SIZES = ("height", "width", "depth", "scale")
 PER_CELL = (1, 8, 27, 64)
-BODY_ONLY_KEYS = (
-    "material",
-    "region",
-    "velocity",
-    "angular_velocity",
-    "velocity_mode",
-    "volume_fraction",
-    "volume_fraction_profile",
-    "initial_pressure",
-    "phase",
-    "prune",
-    "prune_scale",
-    "passive_gaussians",
-    "track_deformation",
-    "release_time",
-    "release_order",
-    "release_end_time",
+BODY_ONLY_KEYS = tuple(
+    "material region velocity angular_velocity velocity_mode volume_fraction"
+    " volume_fraction_profile initial_pressure phase prune prune_scale passive_gaussians"
+    " track_deformation release_time release_order release_end_time".split()
 )
 # Keys that a body with prescribed motion cannot have: it neither moves freely nor shares space.
 KEYS_EXCLUDED_BY_MOTION = (
@@ -111,6 +99,12 @@ class Object(StrictModel):
     capture is turned to RDF before `select` and `up`. Default: what the file says, else "RDF\""""
     select: Select | None = None
     """which part of a capture (gaussians) to take"""
+    render_model: RenderModel | None = None
+    """how the opacities of a capture (gaussians) are meant, for files that do not say it. classic:
+    as the first captures, the renderer widens small Gaussians and they become more opaque.
+    antialiased: trained with gsplat's `antialiased`, opacities are compensated for 0.3 pixels^2.
+    mip: the same for 0.1 pixels^2, as by Mip-Splatting, Brush and LichtFeld Studio. Default: mip if
+    the file says that it was trained antialiased, else classic"""
     up: Literal["x", "-x", "y", "-y", "z", "-z"] = "z"
     """axis of the file that points up; most captures have "-y", most meshes "y\""""
     height: Positive | None = None
@@ -305,7 +299,7 @@ def validate_object(raw: dict) -> list[tuple[tuple, str]]:
         errors.append(((), "needs a position (of the middle of its base) or an origin"))
     if sources == ["shape"]:
         errors += validate_shape(raw["shape"], ("shape",))
-    for key in ("frame", "select", "fill"):
+    for key in ("frame", "select", "fill", "render_model"):
         if key in raw and sources and "gaussians" not in raw:
             errors.append(((key,), f"is only for objects made of gaussians, not of a {sources[0]}"))
     errors += validate_select(raw.get("select")) + _validate_pruning(raw, sources)

@@ -3,8 +3,8 @@
 docs/reference/web-format.md describes it for other readers.
 """
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,6 +30,7 @@ class MotionGroup:
         shape: FIXED, SIZE (one factor) or DEFORMATION (rotation and stretch); FIXED unless FREE.
         color: Whether the colors are stored in each frame.
         pose: Index of the pose of a POSED group.
+        compensated_lowpass: Variance of its antialiased training [pixels^2], 0 for none.
     """
 
     name: str
@@ -38,6 +39,7 @@ class MotionGroup:
     shape: str = FIXED
     color: bool = False
     pose: int = -1
+    compensated_lowpass: float = 0.0
 
     @property
     def channels(self) -> int:
@@ -45,6 +47,13 @@ class MotionGroup:
         if self.motion != FREE:
             return 0
         return 3 + SHAPE_CHANNELS[self.shape] + 3 * self.color
+
+    def to_json(self) -> dict[str, Any]:
+        """Return its entry in the header, without the lowpass if it has none."""
+        entry = asdict(self)
+        if not self.compensated_lowpass:
+            del entry["compensated_lowpass"]
+        return entry
 
 
 class RestGaussians(NamedTuple):

@@ -1,6 +1,5 @@
 """Writer of moving Gaussians in one stream of bytes, frame by frame."""
 
-import dataclasses
 import json
 import struct
 from collections.abc import Sequence
@@ -62,7 +61,7 @@ class MotionWriter:
             "origin": self.origin.tolist(),
             "steps": {"position": self.step, **STEPS},
             "sh_coefficients": gaussians.sh.shape[1],
-            "groups": [dataclasses.asdict(group) for group in self.groups],
+            "groups": [group.to_json() for group in self.groups],
         }
         starts = np.cumsum([0, *(group.count for group in self.groups)])
         self._coders = {k: CodedRows(g.count, g.channels) for k, g in self._free_groups()}

@@ -49,10 +49,11 @@ def render_views(
     cov: covariances (n, 6) [m2] to draw instead of its own.
     """
     cov = cloud.cov() if cov is None else cov
+    compensated = np.full(len(cloud), cloud.lowpass) if cloud.is_antialiased else None
     out = []
     for view in views:
         color = harmonics.evaluate(cloud.sh, cloud.x - view.eye)
-        splats = ProjectableGaussians(cloud.x, cov, cloud.opacity, color)
+        splats = ProjectableGaussians(cloud.x, cov, cloud.opacity, color, compensated)
         picture, through = render(splats, view, alpha_min=ALPHA_MIN)
         out.append((np.clip(picture, 0.0, 1.0), through))
     return out

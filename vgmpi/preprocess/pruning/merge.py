@@ -7,6 +7,8 @@ shrink. The remaining interior is drawn wider only as far as it stays below the 
 shows through it blurs the outline.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import scipy
 
@@ -108,9 +110,7 @@ def merged(
         # The body must not grow: it may lie against the edge of the domain.
         x = np.clip(x, cloud.x.min(axis=0), cloud.x.max(axis=0))
     shade = None if cloud.shade is None else mean(cloud.shade)
-    return GaussianCloud(
-        x, cloud.quat[retained], width, cloud.opacity[retained], mean(cloud.sh), shade
-    )
+    return replace(cloud.select(retained), x=x, scale=width, sh=mean(cloud.sh), shade=shade)
 
 
 def _coverage(cloud: GaussianCloud, retained: np.ndarray, skin: np.ndarray) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Filling of the hollow interior of a capture: Gaussians lie on surfaces, matter does not."""
 
 import itertools
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -219,11 +220,13 @@ def filling(
 
 
 def joined(first: GaussianCloud, second: GaussianCloud) -> GaussianCloud:
-    """Return both clouds, one after the other."""
+    """Return both clouds, one after the other; render model and record are those of the first."""
     names = ("x", "quat", "scale", "opacity", "sh")
     painted = first.shade is not None or second.shade is not None
     x, quat, scale, opacity, sh = (
         np.concatenate([getattr(first, n), getattr(second, n)]) for n in names
     )
     shade = np.concatenate([first.shades, second.shades]) if painted else None
-    return GaussianCloud(x, quat, scale, opacity, sh, shade)
+    return replace(
+        first, x=x, quat=quat, scale=scale, opacity=opacity, sh=sh, shade=shade, labels={}
+    )

@@ -15,7 +15,7 @@ from vgmpi.gaussians.camera import Camera
 
 from . import liquid_depth, liquid_shading
 from .projection import depth_order, project
-from .rasterize import ProjectableGaussians
+from .rasterize import ProjectableGaussians, join_gaussians, resolve_lowpass
 from .tile_blend import TILE, DepthSide, blend_tiles, depths_of, new_canvas, picture, to_tiles
 
 BYTES = 150  # [bytes] memory of a drawn pixel, at least
@@ -59,8 +59,7 @@ class LayeredImage:
             np.ascontiguousarray(camera.world_to_camera, dtype=np.float64),
             lens.astype(np.float64),
             *self.shape,
-            float(lowpass),
-            bool(antialias),
+            *resolve_lowpass(splats, lowpass, antialias),
             float(alpha_min),
             visible_ids,
         )
@@ -148,20 +147,10 @@ def split_spray(liquid: Liquid, spacing: float) -> tuple[Liquid, ProjectableGaus
     return body, ProjectableGaussians(liquid.x[spray], cov, opacity, liquid.color[spray])
 
 
-def concatenate(a: ProjectableGaussians, b: ProjectableGaussians) -> ProjectableGaussians:
-    """Return the Gaussians of both sets."""
-    return ProjectableGaussians(
-        *(
-            np.concatenate([getattr(a, field), getattr(b, field)])
-            for field in a.__dataclass_fields__
-        )
-    )
-
-
 def render(
     splats: ProjectableGaussians, liquid: Liquid, camera: Camera, background: np.ndarray,
     ground: np.ndarray, sky: liquid_shading.EnvironmentMap, medium: liquid_shading.LiquidMedium, *,
-    lowpass: float, antialias: bool, alpha_min: float, with_depth: bool = False,
+    lowpass: float | None, antialias: bool | None, alpha_min: float, with_depth: bool = False,
 ) -> tuple[np.ndarray, ...]:  # fmt: skip
     """Draw Gaussians and a liquid with a surface.
 
@@ -185,7 +174,7 @@ def render(
         return *layers.picture(background), *([layers.depth()] if with_depth else [])
     typical = float(np.median(liquid.spacing))
     body, spray = split_spray(liquid, typical)
-    layers = LayeredImage(concatenate(splats, spray), camera, lowpass, antialias, alpha_min)
+    layers = LayeredImage(join_gaussians([splats, spray]), camera, lowpass, antialias, alpha_min)
     radius = liquid_depth.BALL * body.spacing
     depth = liquid_depth.liquid_depth(body.x, radius, typical, camera)
     background_depth = np.minimum(layers.depth(depth), ground)

@@ -85,7 +85,7 @@ def project(
     height: int,
     width: int,
     lowpass: float,
-    antialias: bool,
+    compensated: np.ndarray | None,
     alpha_min: float,
     visible_ids: np.ndarray | None = None,
 ) -> tuple[np.ndarray, ...]:
@@ -97,7 +97,8 @@ def project(
         w2c, lens: Camera, see the module.
         height, width: Picture size [pixels].
         lowpass: Variance added to the 2-D covariance [pixels^2].
-        antialias: Whether opacities are compensated for the lowpass.
+        compensated: Variance added instead to each one with its opacity compensated, shape (n,)
+            [pixels^2], 0 for `lowpass`; None for `lowpass` everywhere.
         alpha_min: Cutoff of alpha.
         visible_ids: (out) Shape (n,) int64, or None; its first m entries become the numbers of the
             Gaussians in view.
@@ -106,7 +107,7 @@ def project(
         The arrays of `ProjectedGaussians` and depths of the m Gaussians in view.
     """
     out, depth, shape = _empty_rows(len(x)), np.empty(len(x)), (height, width)
-    camera, options = (w2c, lens, shape), (lowpass, antialias, alpha_min)
+    camera, options = (w2c, lens, shape), (lowpass, compensated, alpha_min)
     m = _project(x, cov, opacity, color, camera, *options, out, depth, visible_ids)
     return *(array[:m] for array in out), depth[:m]
 
@@ -123,7 +124,7 @@ def _empty_rows(n: int) -> ProjectedGaussians:
 
 @njit_cached(nogil=True, error_model="numpy")
 def _project(
-    x, cov, opacity, color, camera, lowpass, antialias, alpha_min, rows, depth, visible_ids
+    x, cov, opacity, color, camera, lowpass, compensated, alpha_min, rows, depth, visible_ids
 ):
     """Fill in rows, depth and, unless None, visible_ids; return the number of visible Gaussians."""
     w2c, lens, shape = camera
@@ -140,10 +141,13 @@ def _project(
         v = (w2c[1, 0] * x[i, 0] + w2c[1, 1] * x[i, 1] + w2c[1, 2] * x[i, 2] + w2c[1, 3]) / z
         xx, xy, yy = _projected_covariance(u, v, z, cov[i], w2c, fx, fy, limits)
         before = xx * yy - xy * xy
-        xx, yy = xx + lowpass, yy + lowpass
+        variance = lowpass
+        if compensated is not None and compensated[i] > 0.0:
+            variance = compensated[i]
+        xx, yy = xx + variance, yy + variance
         det = xx * yy - xy * xy
         o = opacity[i]
-        if antialias:
+        if compensated is not None and compensated[i] > 0.0:
             o *= np.sqrt(max(before / det, 0.005**2))
         if not (det > 0.0 and det < 1e30 and o >= alpha_min):
             continue

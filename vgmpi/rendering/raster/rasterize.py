@@ -4,12 +4,14 @@ Conventions (those of gsplat, docs/how-to/render.md): the projection is lineariz
 limited to the picture and 30 % around it; `lowpass` pixels^2 are added to the 2-D covariance; pixel
 centers lie at +0.5; a Gaussian adds alpha = min(0.99, opacity e^-s) and is left out below
 `alpha_min`; a pixel stops, for good, before the Gaussian that would bring its transmittance below
-1e-4. `antialias` multiplies opacities by sqrt(det / det') so that the lowpass does not fatten
-Gaussians smaller than a pixel.
+1e-4. Gaussians of antialiased training bring a lowpass of their own, and their opacities are
+multiplied by sqrt(det / det') so that it does not fatten those smaller than a pixel. `antialias`
+does so for all Gaussians or for none.
 
 projection.py finds the ellipses on the picture and their order, tile_blend.py blends them.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,6 +24,7 @@ from .projection import depth_order, project
 from .tile_blend import TILE, blend_tiles, depths_of, new_canvas, picture
 
 ALPHA_MIN = 1 / 255
+LOWPASS = 0.3  # [pixels^2] variance that the first captures were trained with
 BYTES = 32  # [bytes] memory of a drawn pixel, at least: canvas, picture and transmittance
 DEPTHS = ("expected", "median")
 BACKENDS = ("cpu", "gsplat")
@@ -37,12 +40,51 @@ class ProjectableGaussians:
         cov: Upper triangles of the covariances, shape (n, 6) [m2].
         opacity: Opacities, shape (n,), 0..1.
         color: Colors as seen from the camera, shape (n, 3), >= 0.
+        compensated_lowpass: Variance of the antialiased training of each, shape (n,) [pixels^2],
+            see vgmpi.gaussians.render_models; 0 for classic ones, None if all are.
     """
 
     x: np.ndarray
     cov: np.ndarray
     opacity: np.ndarray
     color: np.ndarray
+    compensated_lowpass: np.ndarray | None = None
+
+
+def join_gaussians(parts: Sequence[ProjectableGaussians]) -> ProjectableGaussians:
+    """Return the Gaussians of all parts, one or more; those of a single part are not copied."""
+    if len(parts) == 1:
+        return parts[0]
+    own = None
+    if any(part.compensated_lowpass is not None for part in parts):
+        own = np.concatenate(
+            [
+                np.zeros(len(p.x)) if p.compensated_lowpass is None else p.compensated_lowpass
+                for p in parts
+            ]
+        )
+    return ProjectableGaussians(
+        np.concatenate([part.x for part in parts]),
+        np.concatenate([part.cov for part in parts]),
+        np.concatenate([part.opacity for part in parts]),
+        np.concatenate([part.color for part in parts]),
+        own,
+    )
+
+
+def resolve_lowpass(
+    splats: ProjectableGaussians, lowpass: float | None, antialias: bool | None
+) -> tuple[float, np.ndarray | None]:
+    """Return the arguments `lowpass` and `compensated` of `project`; options as of `render`."""
+    variance = LOWPASS if lowpass is None else float(lowpass)
+    if antialias:
+        return variance, np.full(len(splats.x), variance)
+    own = None if antialias is False else splats.compensated_lowpass
+    if own is None or not own.any():
+        return variance, None
+    if lowpass is not None:
+        own = np.where(own > 0, variance, 0.0)
+    return variance, np.ascontiguousarray(own, dtype=np.float64)
 
 
 def render(
@@ -50,8 +92,8 @@ def render(
     camera: Camera,
     background: ArrayLike = (1.0, 1.0, 1.0),
     *,
-    lowpass: float = 0.3,
-    antialias: bool = False,
+    lowpass: float | None = None,
+    antialias: bool | None = None,
     alpha_min: float = ALPHA_MIN,
     supersample: int = 1,
     depth: str | None = None,
@@ -64,8 +106,9 @@ def render(
         camera: Camera of the picture.
         background: One color, shape (3,), a picture, shape (height, width, 3), or a supersampled
             one.
-        lowpass: Variance added to the 2-D covariance [pixels^2].
-        antialias: Whether opacities are compensated for the lowpass.
+        lowpass: Variance added to all 2-D covariances [pixels^2]; None: to those of antialiased
+            training its own, to the others LOWPASS.
+        antialias: Whether opacities are compensated for it; None: those of antialiased training.
         alpha_min: Cutoff of alpha, within ALPHA_MIN_RANGE.
         supersample: Factor of the resolution at which the picture is drawn and then averaged.
         depth: "expected" (weighted by each Gaussian's contribution), "median" (of the Gaussian that
@@ -106,8 +149,7 @@ def _render(splats, camera, background, *, lowpass, antialias, alpha_min, depth)
         np.ascontiguousarray(camera.world_to_camera, dtype=np.float64),
         np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.near], dtype=np.float64),
         *shape,
-        float(lowpass),
-        bool(antialias),
+        *resolve_lowpass(splats, lowpass, antialias),
         float(alpha_min),
     )
     order, nx = depth_order(z), -(-camera.width // TILE)

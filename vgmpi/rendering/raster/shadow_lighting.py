@@ -98,7 +98,7 @@ def _map(splats: ProjectableGaussians, light: Light) -> tuple[Camera, np.ndarray
     fov = 2 * np.degrees(np.arcsin(1.05 / CAMERA_DISTANCE))
     eye = middle - CAMERA_DISTANCE * radius * direction
     camera = look_at(eye, middle, up, fov, PIXELS, PIXELS, near_plane=MIN_RADIUS)
-    dark = ProjectableGaussians(splats.x, splats.cov, splats.opacity, np.zeros((len(splats.x), 3)))
+    dark = replace(splats, color=np.zeros((len(splats.x), 3)))
     return camera, rasterize.render(dark, camera, depth="median")[2]
 
 

@@ -182,7 +182,7 @@ class Motion {
     };
     this.centers = new Float32Array(4 * n); // x, y, z, factor on the size
     this.shapes = new Float32Array(12 * n); // quaternion w, x, y, z; stretch xx, xy, xz, yy; yz, zz
-    this.roots = new Float32Array(8 * n); // square root of the covariance; 2 unused
+    this.roots = new Float32Array(8 * n); // square root of the covariance; unused; compensated lowpass
     this.colors = new Float32Array(4 * n); // color without view dependence, opacity
     this.harmonics = new Float32Array(4 * n * (terms - 1));
     this.present = new Uint8Array(n).fill(1);
@@ -194,6 +194,9 @@ class Motion {
     fill(this.colors, 4, 3, column(2, (u) => u / 65535));
     for (let k = 0; k < 3; k++)
       fill(this.colors, 4, k, column(2, (h) => 0.5 + 0.28209479177387814 * halfToFloat(h)));
+    for (const group of this.groups) // the last of the unused numbers: lowpass of its training
+      for (let i = group.first; i < group.first + group.count; i++)
+        this.roots[8 * i + 7] = group.compensated_lowpass || 0;
     const step = this.header.sh_step;
     for (let k = 0; k < 3 * (terms - 1); k++) {
       const offset = 4 * Math.floor(k / 3) + (k % 3);

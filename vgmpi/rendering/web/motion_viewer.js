@@ -53,9 +53,11 @@ void main() {
   vec3 T0 = m.x * (vec3(1.0, 0.0, -c.x) * M), T1 = m.y * (vec3(0.0, 1.0, -c.y) * M);
   float xx = dot(T0, T0), xy = dot(T0, T1), yy = dot(T1, T1);
   float opacity = color.a, det0 = xx * yy - xy * xy;
-  xx += lowpass; yy += lowpass;
+  bool own = !antialias && s.w > 0.0; // trained with a lowpass of its own, compensated
+  float variance = own ? s.w : lowpass;
+  xx += variance; yy += variance;
   float det = xx * yy - xy * xy;
-  if (antialias) opacity *= sqrt(max(det0 / det, 0.0));
+  if (antialias || own) opacity *= sqrt(max(det0 / det, 0.0));
   if (opacity < alphaMin) return;
   vec3 rgb = color.rgb;
   if (terms > 1) rgb += shiny(i, normalize(transpose(R) * (center.xyz - eye)));
