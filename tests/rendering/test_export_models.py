@@ -21,7 +21,7 @@ def runs(tmp_path_factory):
 def written(run, tmp_path, monkeypatch, *flags):
     """Cloud that `vgmpi export` hands to the writer."""
     clouds = []
-    monkeypatch.setattr(registry, "write", lambda path, cloud: clouds.append(cloud))
+    monkeypatch.setattr(registry, "write", lambda path, cloud, version: clouds.append(cloud))
     assert export.main([str(run), "-o", str(tmp_path / "g"), *flags]) == 0
     return clouds[0]
 
@@ -43,6 +43,15 @@ def test_the_model_of_most_gaussians_is_written(runs, tmp_path, monkeypatch, cap
     caplog.clear()
     got = written(runs["mixed"], tmp_path, monkeypatch, "--no-scenery")
     assert got.lowpass == 0.3 and "mip" not in caplog.text
+
+
+@pytest.mark.parametrize("suffix", ["ply", "compressed.ply", "spz", "sog"])
+@pytest.mark.parametrize("name", ["classic", "mip"])
+def test_an_exported_file_is_read_back_with_its_model(runs, tmp_path, suffix, name):
+    argv = [str(runs[name]), "-o", str(tmp_path), "--format", suffix, "--no-scenery", "-q"]
+    assert export.main(argv) == 0
+    got = registry.read(tmp_path / f"frame_00000.{suffix}")
+    assert got.is_antialiased == (name == "mip")
 
 
 @pytest.mark.parametrize("suffix", ["splat", "glb"])

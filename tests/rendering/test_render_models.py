@@ -183,14 +183,13 @@ def test_the_studio_draws_objects_by_their_models(runs, tmp_path):
     np.testing.assert_array_equal(alike, classic)
 
 
-def test_a_file_that_says_it_needs_no_key(folder, tmp_path, runs, monkeypatch):
-    """Crop, placement, filling and pruning keep what the reader found; a key goes before it."""
-    read = registry.read
-    monkeypatch.setattr(registry, "read", lambda path: replace(read(path), is_antialiased=True))
+def test_a_file_that_says_it_needs_no_key(tmp_path, runs):
+    """Crop, placement, filling and pruning keep what the file says; a key goes before it."""
+    registry.write(tmp_path / "ball.ply", replace(ball(), is_antialiased=True))
     select = 'select = { min_opacity = 0.31 }\nprune = "versagauss"\nprune_scale = 0.3'
-    entries = build_scene(loaded(folder, select, 'render_model = "classic"')).objects
+    entries = build_scene(loaded(tmp_path, select, 'render_model = "classic"')).objects
     assert [entry.get("render_model") for entry in entries] == ["mip", None, None]
-    assert write_run(loaded(folder), tmp_path / "out")
+    assert write_run(loaded(tmp_path), tmp_path / "out")
     told = RunReader(tmp_path / "out").objects
     assert [e.get("render_model") for e in told] == ["mip", "mip", None]
     image = picture(tmp_path / "out", tmp_path)[0]
