@@ -231,7 +231,7 @@ def test_inspect_of_what_a_body_is_made_of(tmp_path, capsys):
     mesh.write_text("v 0 0 0\nv 2 0 0\nv 0 3 0\nf 1 2 3\n")
     assert cli.main(["--inspect", str(mesh)]) == 0
     said = capsys.readouterr().out
-    assert "a mesh of 1 triangles, 3 points, no colors" in said and "y 0 .. 3" in said
+    assert "a mesh of 1 triangles, 3 points\n" in said and "y 0 .. 3" in said
     cloud.write_text("ply\n")
     assert cli.main(["--inspect", str(cloud)]) == 2
     (line,) = capsys.readouterr().err.splitlines()

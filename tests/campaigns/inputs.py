@@ -89,8 +89,9 @@ def _spz(random: np.random.Generator) -> list[bytes]:
 
 
 def _meshes(folder: Path, suffix: str) -> list[bytes]:
-    """A bent sheet with a lid, in all ways in which meshio writes such a file."""
+    """A bent sheet with a lid, in all ways in which meshio (.vtp: VTK) writes such a file."""
     import meshio
+    import pyvista
 
     u = np.stack(np.meshgrid(*(np.linspace(0, 1, 5),) * 2), -1).reshape(-1, 2)
     points = np.column_stack([u, 0.3 * np.sin(3 * u[:, 0]) + u[:, 1] ** 2])
@@ -104,6 +105,7 @@ def _meshes(folder: Path, suffix: str) -> list[bytes]:
         ".stl": [{"binary": True}, {"binary": False}],
         ".ply": [{"binary": True}, {"binary": False}],
         ".vtk": [{"binary": True}, {"binary": False}],
+        ".vtp": [{"binary": True}, {"binary": False}],
         ".vtu": [{"binary": False}, {"compression": None}, {"compression": "zlib"},
                  {"compression": "lzma"}],
     }  # fmt: skip
@@ -111,7 +113,10 @@ def _meshes(folder: Path, suffix: str) -> list[bytes]:
     for options in ways[suffix]:
         path = folder / f"good{suffix}"
         with contextlib.redirect_stderr(io.StringIO()):  # it has much to say
-            mesh.write(path, **options)
+            if suffix == ".vtp":  # meshio has none
+                pyvista.PolyData.from_regular_faces(points, cells[0][1]).save(path, **options)
+            else:
+                mesh.write(path, **options)
         found.append(path.read_bytes())
     return found + ([OBJ.encode()] if suffix == ".obj" else [])
 

@@ -14,6 +14,7 @@ from vgmpi.scene.shapes import Shape
 
 from . import shape_sdf
 from .placement import PlacementError, SimilarityTransform, corners, rotate
+from .sheet_collider import SheetCollider
 
 FAR_DISTANCE = 1e6  # [own units] half the edge of a box that contains everything
 SMOOTHING_SIGMA = 1.0  # [voxels] standard deviation of the filter that smooths a body's distances
@@ -154,7 +155,7 @@ class VoxelCollider:
         return clamped, np.sqrt(((position - clamped) ** 2).sum(axis=1)) * self.voxels.spacing
 
 
-Collider = ShapeCollider | VoxelCollider
+Collider = ShapeCollider | VoxelCollider | SheetCollider
 
 
 def with_motion(collider: Collider | None, motion: Motion | None) -> Collider | None:

@@ -11,7 +11,13 @@ from vgmpi.gaussians.formats import registry
 from vgmpi.gaussians.formats.registry import GaussianFileError
 from vgmpi.preprocess.floaters import find_floaters
 from vgmpi.preprocess.meshes import surface_mesh
+from vgmpi.preprocess.meshes.mesh_topology import (
+    analyze_mesh,
+    describe_shells,
+    describe_surface,
+)
 from vgmpi.preprocess.meshes.surface_mesh import MeshError
+from vgmpi.preprocess.meshes.triangle_mesh import Mesh
 
 _VALUES_TOLD = 8  # values of a column of labels
 
@@ -93,16 +99,40 @@ def _floaters(cloud: GaussianCloud) -> list[str]:
 def _mesh(path: Path) -> str:
     """Return lines about a mesh."""
     surface = surface_mesh.read(path)
-    colors = (
-        "a picture" if surface.textures else "colors" if surface.rgb is not None else "no colors"
-    )
+    topology = analyze_mesh(surface)
     return "\n".join(
         [
             f"{path}: a mesh of {len(surface.triangles):,} triangles,"
-            f" {len(surface.points):,} points, {colors}",
+            f" {len(surface.points):,} points",
             f"  reaches  {_reach(surface.points)}",
+            f"  surface  {describe_surface(topology)}",
+            f"  shells   {describe_shells(topology)}",
+            f"  colors   {_mesh_colors(surface)}",
         ]
     )
+
+
+def _mesh_colors(surface: Mesh) -> str:
+    """Return text on where the colors of a mesh come from, and their range."""
+    sources = []
+    if surface.textures is not None:
+        count = len(surface.textures.images)
+        sources.append(f"of {'a picture' if count == 1 else f'{count} pictures'}")
+    if surface.rgb is not None:
+        sources.append(f"of its points, {_color_range(surface.rgb)}")
+    elif surface.triangle_rgb is not None:
+        colored = np.isfinite(surface.triangle_rgb).all(axis=1)
+        own = surface.triangle_rgb[colored]
+        which = "its triangles" if colored.all() else f"{colored.sum():,} of its triangles"
+        if len(own):
+            sources.append(f"of {which}, {_color_range(own)}")
+    return "; ".join(sources) or "none: the scene gives one"
+
+
+def _color_range(rgb: np.ndarray) -> str:
+    """Return the lowest and highest red, green and blue of colors (n, 3)."""
+    ends = zip(("red", "green", "blue"), rgb.min(axis=0), rgb.max(axis=0), strict=True)
+    return ", ".join(f"{name} {low:.2f} to {high:.2f}" for name, low, high in ends)
 
 
 def _reach(x: np.ndarray) -> str:

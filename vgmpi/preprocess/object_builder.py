@@ -1,5 +1,6 @@
 """Builder of one object: reads or samples it, places, fills, colors, weighs and prunes it."""
 
+import logging
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
@@ -14,6 +15,8 @@ from vgmpi.gaussians.shape_evolution import FAMILIES_DRAWN_AS_SPHERES
 from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
 from vgmpi.preprocess.meshes import point_in_mesh
 from vgmpi.preprocess.meshes import surface_mesh as mesh
+from vgmpi.preprocess.meshes.mesh_topology import analyze_mesh, describe_turned_shells, oriented
+from vgmpi.preprocess.meshes.triangle_mesh import Mesh
 from vgmpi.preprocess.pruning import prune
 from vgmpi.preprocess.sampling import interior_fill
 from vgmpi.preprocess.sampling.voxels import (
@@ -42,6 +45,9 @@ from .placement import (
     rotate,
     upright,
 )
+from .sheet_collider import SheetCollider
+
+log = logging.getLogger("vgmpi")
 
 LIGHT = np.array([0.36, -0.48, 0.80])  # [-] unit vector towards the painted light
 MIN_SHADE = 1e-3  # [-] smallest factor of the light, so that colors can be divided by it
@@ -170,13 +176,16 @@ def _from_mesh(scene: Scene, k: int, obj: Object) -> BuiltObject:
     if obj.role == "body":
         check_inside(scene, obj, low, high, 1e-6 * spacing)
     filled = obj.role == "body" or obj.collider
+    is_sheet = False
+    if filled:
+        placed, is_sheet = _examined(obj, placed)
 
     def search(h: float) -> tuple:
         """Return the arguments of a lattice search at spacing h [m]."""
         return (lambda points: point_in_mesh.inside(placed, points, h)), low, high, h
 
     fine = spacing / _FINENESS
-    if filled:
+    if filled and not is_sheet:
         memory_estimate.require_search_size(shape_sdf.lattice_size(low, high, fine))
         candidates = shape_sdf.lattice_size(low, high, spacing)
         memory_estimate.require_memory_for_interior(
@@ -189,11 +198,34 @@ def _from_mesh(scene: Scene, k: int, obj: Object) -> BuiltObject:
     surface = replace(surface, shade=shade)
     if not filled:
         return BuiltObject(surface, np.zeros(len(surface)), transform)
+    if is_sheet:
+        walls = SheetCollider.from_triangles(obj.name, placed.corners(), scene.domain.cell)
+        return BuiltObject(surface, np.zeros(len(surface)), transform, walls)
     inner = shape_sdf.lattice(*search(spacing))
     missing = interior_fill.MissingInterior(
         inner, np.ones(len(inner), dtype=bool), np.empty((0, 3))
     )
     return _solid(scene, k, surface, missing, transform, shape_sdf.lattice_chunks(*search(fine)))
+
+
+def _examined(obj: Object, placed: Mesh) -> tuple[Mesh, bool]:
+    """Return a mesh whose shells face outward, and whether it is a collider of thin sheets.
+
+    What is unusual about it is logged, in one line each.
+    """
+    topology = analyze_mesh(placed)
+    turned = describe_turned_shells(topology)
+    if turned:
+        log.info("'%s': %s", obj.name, turned)
+    is_sheet = bool(obj.thin) and topology.is_open
+    if topology.is_open:
+        meaning = "it counts as filled up to its holes"
+        if obj.role == "scenery":
+            meaning = "it counts as a solid block up to its holes; thin = true makes it a wall"
+            if is_sheet:
+                meaning = "it counts as a wall half a cell thick"
+        log.info("'%s': its mesh is %s; %s", obj.name, topology.describe_opening(" m"), meaning)
+    return oriented(placed, topology), is_sheet
 
 
 def _from_gaussians(scene: Scene, k: int, obj: Object) -> BuiltObject:

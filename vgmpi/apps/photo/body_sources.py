@@ -12,7 +12,8 @@ from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import registry
 from vgmpi.gaussians.formats.validation import GaussianFileError
 from vgmpi.preprocess.meshes import surface_mesh
-from vgmpi.preprocess.meshes.surface_mesh import Mesh, MeshError
+from vgmpi.preprocess.meshes.surface_mesh import MeshError
+from vgmpi.preprocess.meshes.triangle_mesh import Mesh
 from vgmpi.preprocess.placement import axis_rotation
 
 from . import (

@@ -13,7 +13,7 @@ from vgmpi.gaussians.cloud import (
 )
 from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
 from vgmpi.preprocess.meshes import surface_mesh
-from vgmpi.preprocess.meshes.surface_mesh import Mesh
+from vgmpi.preprocess.meshes.triangle_mesh import Mesh
 
 from .photo_camera import View
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from vgmpi.preprocess.meshes.surface_mesh import Mesh
+from vgmpi.preprocess.meshes.triangle_mesh import Mesh
 
 from .grabcut import iou
 from .mask_to_mesh import (

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import ndimage, sparse
 from scipy.sparse.linalg import spsolve
 
-from vgmpi.preprocess.meshes.surface_mesh import Mesh
+from vgmpi.preprocess.meshes.triangle_mesh import Mesh
 
 from .grabcut import box_of
 from .photo_camera import View

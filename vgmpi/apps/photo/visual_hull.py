@@ -18,7 +18,7 @@ from vgmpi.gaussians.camera_files import CameraFileError
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
 from vgmpi.preprocess.meshes import surface_mesh
-from vgmpi.preprocess.meshes.surface_mesh import Mesh
+from vgmpi.preprocess.meshes.triangle_mesh import Mesh
 from vgmpi.preprocess.placement import UP
 from vgmpi.rendering.raster import rasterize
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .surface_mesh import Mesh
+from .triangle_mesh import Mesh
 
 _MAX_CROSSINGS = 64  # crossings on one line up to which they are tested one by one
 _BATCH = 1 << 22  # crossings of triangles with lines per batch

@@ -1,10 +1,6 @@
 """Surface meshes: reading, and even sampling with flat Gaussians."""
 
-import contextlib
-import io
-import logging
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +12,16 @@ from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
 from vgmpi.runtime import memory_budget
 from vgmpi.runtime.config.toml_source import escape_control_characters, truncate
 
-from . import texture
-from .meshio_guard import limited
-from .texture import Textures
+from .ply_mesh import read_ply
+from .stl import read_stl
+from .triangle_mesh import Mesh
+from .vtk_file import SUFFIXES, read_vtk
+from .wavefront import read_obj
 
-log = logging.getLogger("vgmpi")
-
-FORMATS = (".obj", ".stl", ".ply", ".vtk", ".vtu")
+_READERS: dict[str, Callable[[Path], Mesh]] = {
+    ".obj": read_obj, ".stl": read_stl, ".ply": read_ply, **dict.fromkeys(SUFFIXES, read_vtk),
+}  # fmt: skip
+FORMATS = tuple(_READERS)
 MIN_SAMPLES = 20_000  # Gaussians on a surface, so that small objects are drawn smoothly
 FLATNESS = 0.1  # [-] thickness of a disc relative to its radius
 RADIUS = 0.6  # [-] standard deviation of a disc relative to sqrt(area / number)
@@ -39,24 +38,6 @@ class MeshError(ValueError):
     """Error for a file that is no usable surface mesh; one line that names the file."""
 
 
-@dataclass(frozen=True)
-class Mesh:
-    """Triangle mesh.
-
-    points (n, 3) in the file's units, triangles (m, 3) of point numbers, rgb (n, 3) or None;
-    textures on its triangles take precedence over rgb.
-    """
-
-    points: np.ndarray
-    triangles: np.ndarray
-    rgb: np.ndarray | None = None
-    textures: Textures | None = None
-
-    def corners(self) -> np.ndarray:
-        """Return the corners of every triangle, shape (m, 3 corners, 3)."""
-        return self.points[self.triangles]
-
-
 def read(path: Path) -> Mesh:
     """Read the triangles of a mesh file; polygons are cut into fans. Raises MeshError."""
     if path.suffix.lower() not in FORMATS:
@@ -65,13 +46,11 @@ def read(path: Path) -> Mesh:
         memory_budget.require_memory(
             _EXPANSION * path.stat().st_size, f"its {path.stat().st_size:,} bytes take at least"
         )
-        mesh = _read_obj(path) if path.suffix.lower() == ".obj" else _read_any(path)
-    except (Exception, SystemExit) as error:  # meshio's readers raise anything, and may exit
-        lines = str(error).splitlines()
-        no_reason = not lines or isinstance(error, SystemExit)
-        reason = (
-            "no mesh meshio reads" if no_reason else truncate(escape_control_characters(lines[0]))
-        )
+        mesh = _READERS[path.suffix.lower()](path)
+    except (ValueError, OSError, MemoryError, LookupError, ArithmeticError, EOFError) as error:
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        lines = (reason or "needs more memory than there is").splitlines()
+        reason = truncate(escape_control_characters(lines[0]))
         raise MeshError(f"{path}: cannot be read as a mesh: {reason}") from None
     if not len(mesh.triangles):
         raise MeshError(f"{path}: holds no triangles or polygons")
@@ -82,112 +61,6 @@ def read(path: Path) -> Mesh:
     if not MIN_SIZE <= extent <= MAX_SIZE or np.abs(mesh.points).max() > MAX_SIZE:
         raise MeshError(f"{path}: is {extent:.3g} large; allowed are {MIN_SIZE:g} to {MAX_SIZE:g}")
     return mesh
-
-
-def _read_any(path: Path) -> Mesh:
-    """Read a mesh by meshio."""
-    import meshio  # half a second to import: only scenes with such a mesh pay it
-
-    output = io.StringIO()
-    with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output), limited(path):
-        data = meshio.read(path)
-    points = np.asarray(data.points, dtype=np.float64)
-    points = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))  # a flat mesh has no z
-    fans = [np.empty((0, 3), dtype=np.int64)]
-    for block in data.cells:
-        if block.type in ("triangle", "quad", "polygon"):
-            cells = np.asarray(block.data)
-            fans += [cells[:, (0, k, k + 1)] for k in range(1, cells.shape[1] - 1)]
-    colors = _vertex_colors(data.point_data, len(points))
-    return Mesh(points, np.concatenate(fans).astype(np.int64), colors)
-
-
-def _read_obj(path: Path) -> Mesh:
-    """Return points, their colors, faces and textures of a Wavefront file.
-
-    It is read here, because meshio refuses files with more texture coordinates than points.
-    """
-    points: list[list[float]] = []
-    uv: list[list[float]] = []
-    corners: list[tuple[int, int]] = []  # point and texture coordinate (-1: none), 3 per triangle
-    materials, libraries, material = [], [], ""
-    for line in _lines(path):
-        words = line.split()
-        match words[:1]:
-            case ["v"]:
-                points.append([float(word) for word in words[1:]])
-            case ["vt"]:
-                uv.append([float(word) for word in (*words[1:3], "0")[:2]])
-            case ["f"]:
-                face = [_corner(word, len(points), len(uv)) for word in words[1:]]
-                for k in range(1, len(face) - 1):
-                    corners += (face[0], face[k], face[k + 1])
-                    materials.append(material)
-            case ["mtllib"]:
-                libraries.append(line.split(maxsplit=1)[1])
-            case ["usemtl"]:
-                material = line.split(maxsplit=1)[1].strip() if len(words) > 1 else ""
-    colored = bool(points) and all(len(point) >= 6 for point in points)
-    rgb = np.clip([point[3:6] for point in points], 0.0, 1.0) if colored else None
-    x = np.array([point[:3] for point in points], dtype=np.float64).reshape(-1, 3)
-    index = np.array(corners, dtype=np.int64).reshape(-1, 3, 2)
-    return Mesh(x, index[:, :, 0], rgb, _textures(path, libraries, materials, uv, index[:, :, 1]))
-
-
-def _lines(path: Path) -> Iterator[str]:
-    """Yield the lines of a text file."""
-    with open(path, errors="replace") as file:
-        for line in file:
-            yield from line.splitlines()  # this includes rare line separators
-
-
-def _corner(word: str, points: int, uvs: int) -> tuple[int, int]:
-    """Return the numbers of point and texture coordinate of "3", "3/1" or "3/1/2"; -1 for none."""
-    point, _, more = word.partition("/")
-    uv = more.partition("/")[0]
-    # Numbers count from 1; negative ones count from the last.
-    numbers = [
-        n - 1 if n > 0 else count + n for n, count in ((int(point), points), (int(uv or 0), uvs))
-    ]
-    return numbers[0], numbers[1] if uv else -1
-
-
-def _textures(path: Path, libraries, materials, uvs, index: np.ndarray) -> Textures | None:
-    """Return the textures of triangles with given materials and uv numbers `index` (m, 3)."""
-    if not libraries or not uvs:
-        return None
-    try:
-        images_of = texture.material_images(path, libraries)
-        used = sorted({name for name in materials if name in images_of})
-        images = [texture.read_texture(images_of[name]) for name in used]
-    except texture.TextureError as error:  # many meshes come without their images
-        log.warning("%s: %s: its colors are those of its points or the object", path, error)
-        return None
-    if not used:
-        return None
-    row = np.array([used.index(name) if name in used else -1 for name in materials])
-    if index.max() >= len(uvs):
-        raise ValueError("has faces without texture coordinates")
-    row[(index < 0).any(axis=1)] = -1
-    uv = np.array(uvs, dtype=np.float64)[np.maximum(index, 0)]
-    if not np.isfinite(uv).all():
-        raise ValueError("has texture coordinates that are not finite")
-    return Textures(uv, row, images)
-
-
-def _vertex_colors(data: dict, count: int) -> np.ndarray | None:
-    """Return colors 0..1 (n, 3) if the file has any."""
-    if all(name in data for name in ("red", "green", "blue")):
-        rgb = np.stack([data[name] for name in ("red", "green", "blue")], axis=1)
-    else:
-        names = [
-            n for n in data if n.lower() in ("rgb", "rgba", "color", "colors", "vertex_colors")
-        ]
-        rgb = np.asarray(data[names[0]]) if names else np.empty(0)
-    if rgb.ndim != 2 or len(rgb) != count or rgb.shape[1] < 3:
-        return None
-    is_integer = np.issubdtype(rgb.dtype, np.integer)
-    return np.clip(rgb[:, :3].astype(np.float64) / (255.0 if is_integer else 1.0), 0.0, 1.0)
 
 
 def sample(
@@ -233,6 +106,9 @@ def sample(
     retained = poisson_disc_subset(x, _POISSON_DISC_RATIO * np.sqrt(area / count))
     normal = cross[chosen[retained]] / double[chosen[retained], None]
     rgb = np.tile(np.asarray(color, dtype=float), (len(retained), 1))
+    if mesh.triangle_rgb is not None:
+        own = mesh.triangle_rgb[chosen[retained]]
+        rgb = np.where(np.isfinite(own), own, rgb)
     if mesh.rgb is not None:
         rgb = (weights[retained, :, None] * mesh.rgb[mesh.triangles[chosen[retained]]]).sum(axis=1)
     if mesh.textures is not None:

@@ -1,6 +1,6 @@
 """Textures of Wavefront meshes: image of each face and color at its points."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -53,12 +53,21 @@ def _sample_bilinear(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
     return out
 
 
-def material_images(path: Path, libraries: list[str]) -> dict[str, Path]:
-    """Return the files of the images (map_Kd) by the materials of .mtl files of a mesh.
+@dataclass(frozen=True)
+class Material:
+    """Material of a mesh: its color (Kd) 0..1, and the name of the file of its image (map_Kd)."""
+
+    color: tuple[float, float, float] | None = None
+    image: str = ""
+
+
+def read_materials(path: Path, libraries: list[str]) -> dict[str, Material]:
+    """Return the materials in .mtl files of a mesh by their names.
 
     Raises TextureError.
     """
-    images, name = {}, ""
+    materials: dict[str, Material] = {}
+    name = ""
     for library in libraries:
         try:
             text = read_regular_file(file_in_mesh_folder(path, library), MAX_TEXT_BYTES).decode(
@@ -67,11 +76,26 @@ def material_images(path: Path, libraries: list[str]) -> dict[str, Path]:
         except OSError as error:
             raise TextureError(f"names {library!r}, which {error.strerror}") from None
         for words in (line.split(maxsplit=1) for line in text.splitlines()):
-            if len(words) == 2 and words[0] == "newmtl":
+            if len(words) < 2:
+                continue
+            if words[0] == "newmtl":
                 name = words[1].strip()
-            elif len(words) == 2 and words[0] == "map_Kd":
-                images[name] = file_in_mesh_folder(path, _last_word(words[1]))
-    return images
+                materials[name] = Material()
+            elif words[0] == "map_Kd" and name:
+                materials[name] = replace(materials[name], image=_last_word(words[1]))
+            elif words[0] == "Kd" and name:
+                materials[name] = replace(materials[name], color=_color(words[1]))
+    return materials
+
+
+def _color(words: str) -> tuple[float, float, float] | None:
+    """Return the color of a Kd statement; None for its rare forms that are no numbers."""
+    try:
+        red, *others = (min(max(float(word), 0.0), 1.0) for word in words.split()[:3])
+    except ValueError:
+        return None
+    green, blue = others if len(others) == 2 else (red, red)  # one number is a gray
+    return red, green, blue
 
 
 def _last_word(words: str) -> str:
@@ -90,8 +114,9 @@ def file_in_mesh_folder(path: Path, name: str) -> Path:
     return file
 
 
-def read_texture(path: Path) -> np.ndarray:
-    """Return an image (height, width, 3), 0..1. Raises TextureError."""
+def read_texture(mesh_path: Path, name: str) -> np.ndarray:
+    """Return an image (height, width, 3), 0..1, that a mesh names. Raises TextureError."""
+    path = file_in_mesh_folder(mesh_path, name)
     try:
         pixels = read_image(path)
     except ValueError as error:
@@ -113,7 +138,7 @@ def texture_files(path: Path) -> list[Path]:
         words = (line.split(maxsplit=1) for row in file for line in row.splitlines())
         libraries = [word[1] for word in words if len(word) == 2 and word[0] == "mtllib"]
     try:
-        used = material_images(path, libraries)
-        return [*(file_in_mesh_folder(path, name) for name in libraries), *used.values()]
+        images = [each.image for each in read_materials(path, libraries).values() if each.image]
+        return [file_in_mesh_folder(path, name) for name in (*libraries, *images)]
     except TextureError:
         return []

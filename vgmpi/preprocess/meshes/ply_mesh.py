@@ -1,0 +1,268 @@
+"""Reader of .ply meshes: text and both orders of bytes, colors of points and of faces.
+
+All sizes in a header are compared with the file before anything is allocated.
+
+References: Turk, The PLY polygon file format (1994).
+"""
+
+import logging
+import re
+import struct
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from .triangle_mesh import COLOR_NAMES, Mesh, fans, unit_colors
+
+log = logging.getLogger("vgmpi")
+
+_HEADER_BYTES = 1 << 16  # [bytes] in which the header must end
+_TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
+    "ushort": "u2", "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
+    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
+}  # fmt: skip
+_ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
+_CORNERS = ("vertex_indices", "vertex_index")
+_FORMAT = struct.Struct  # compiled format of one number
+
+
+@dataclass(frozen=True)
+class _Property:
+    """One property of an element; `count` is the type of a list's length, None for a number."""
+
+    name: str
+    kind: str
+    count: str | None = None
+    is_integer: bool = False
+
+
+@dataclass(frozen=True)
+class _Element:
+    """One element of the header."""
+
+    name: str
+    count: int
+    properties: list[_Property]
+
+
+class _Rows:
+    """Columns of an element by their names; of lists one array (m, k) for each length k."""
+
+    def __init__(self) -> None:
+        self.numbers: dict[str, np.ndarray] = {}
+        self.lists: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}  # rows and their entries
+        self.is_integer: dict[str, bool] = {}
+
+
+def read_ply(path: Path) -> Mesh:
+    """Return the mesh of a .ply file. Raises ValueError, OSError."""
+    data = path.read_bytes()
+    order, is_text, elements, comments, offset = _header(data)
+    if is_text:  # as numbers of eight bytes it is read like the others
+        data, offset = _numbers_of_text(data[offset:]).tobytes(), 0
+        elements = [_as_doubles(element) for element in elements]
+    tables: dict[str, _Rows] = {}
+    for element in elements:
+        tables[element.name], offset = _read_element(data, offset, element, order)
+    if "vertex" not in tables or not all(axis in tables["vertex"].numbers for axis in "xyz"):
+        raise ValueError("has no points: no element 'vertex' with x, y and z")
+    vertex = tables["vertex"]
+    points = np.stack([vertex.numbers[axis].astype(np.float64) for axis in "xyz"], axis=1)
+    if any(comment.startswith("TextureFile") for comment in comments):
+        log.warning("%s: its picture is not read: only .obj meshes have textures", path)
+    triangles, row = _triangles(tables.get("face"))
+    colors = _colors(tables["face"]) if "face" in tables else None
+    return Mesh(points, triangles, _colors(vertex), None, None if colors is None else colors[row])
+
+
+def _header(data: bytes) -> tuple[str, bool, list[_Element], list[str], int]:
+    """Return byte order, whether it is text, elements, comments and the offset of the data."""
+    if not data.startswith((b"ply\n", b"ply\r")):
+        raise ValueError("is no .ply file: it does not begin with 'ply'")
+    end = re.search(rb"[\r\n]end_header[ \t]*(\r\n|\n|\r)", data[:_HEADER_BYTES])
+    if end is None:
+        raise ValueError("its header has no end")
+    order, form, elements, comments = None, "", [], []
+    for line in data[: end.start()].decode("ascii", errors="replace").splitlines()[1:]:
+        match line.split():
+            case ["format", form, _] if form in _ORDERS:
+                order = _ORDERS[form]
+            case ["comment", *words]:
+                comments.append(" ".join(words))
+            case [] | ["obj_info", *_]:
+                pass
+            case ["element", name, count] if count.isdecimal() and len(count) <= 15:
+                elements.append(_Element(name, int(count), []))
+            case ["property", kind, name] if elements and kind in _TYPES:
+                kind = _TYPES[kind]
+                elements[-1].properties.append(_Property(name, kind, None, kind[0] != "f"))
+            case ["property", "list", count, kind, name] if (
+                elements and kind in _TYPES and _TYPES.get(count, "f")[0] != "f"
+            ):
+                elements[-1].properties.append(_Property(name, _TYPES[kind], _TYPES[count]))
+            case _:
+                raise ValueError(f"has the unreadable header line {line[:60]!r}")
+    if order is None:
+        raise ValueError("has no 'format' line")
+    for element in elements:
+        names = [each.name for each in element.properties]
+        if not names or len(set(names)) < len(names):
+            raise ValueError(f"has no or repeated properties in element '{element.name}'")
+    if len({element.name for element in elements}) < len(elements):
+        raise ValueError("names an element twice")
+    return order, form == "ascii", elements, comments, end.end()
+
+
+def _numbers_of_text(text: bytes) -> np.ndarray:
+    """Return all numbers of a text."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DeprecationWarning)  # NumPy's word for what is no number
+        try:
+            return np.fromstring(text.decode("ascii"), dtype="<f8", sep=" ")
+        except (DeprecationWarning, UnicodeDecodeError):
+            raise ValueError("has text that is no number") from None
+
+
+def _as_doubles(element: _Element) -> _Element:
+    """Return an element all of whose numbers, also the lengths of lists, have eight bytes."""
+    properties = [
+        _Property(each.name, "f8", None if each.count is None else "f8", each.is_integer)
+        for each in element.properties
+    ]
+    return _Element(element.name, element.count, properties)
+
+
+def _read_element(data: bytes, offset: int, element: _Element, order: str) -> tuple[_Rows, int]:
+    """Return the rows of an element that begins at `offset`, and the offset of the next one."""
+    smallest = sum(int((each.count or each.kind)[1]) for each in element.properties)
+    if element.count * smallest > len(data) - offset:
+        raise ValueError(
+            f"promises {element.count:,} rows of '{element.name}', but is too short: truncated?"
+        )
+    out = _Rows()
+    out.is_integer = {each.name: each.is_integer for each in element.properties}
+    if not element.count:
+        return out, offset
+    lengths = _list_lengths(data, offset, element, order)
+    fields: list[tuple] = []
+    for number, each in enumerate(element.properties):
+        if each.count is not None:
+            fields.append((f"count{number}", order + each.count))
+        shape = () if each.count is None else (lengths[number],)
+        fields.append((f"value{number}", order + each.kind, shape))
+    row = np.dtype(fields)
+    is_even = element.count * row.itemsize <= len(data) - offset
+    if is_even:  # all lists are as long as those of the first row
+        rows = np.frombuffer(data, row, element.count, offset)
+        for number, each in enumerate(element.properties):
+            if each.count is not None:
+                is_even = is_even and (rows[f"count{number}"] == lengths[number]).all()
+    if not is_even:
+        return _read_uneven(data, offset, element, order, out)
+    every = np.arange(element.count)
+    for number, each in enumerate(element.properties):
+        if each.count is None:
+            out.numbers[each.name] = rows[f"value{number}"]
+        else:
+            out.lists[each.name] = [(every, rows[f"value{number}"])]
+    return out, offset + element.count * row.itemsize
+
+
+def _list_lengths(data: bytes, offset: int, element: _Element, order: str) -> dict[int, int]:
+    """Return the lengths of the lists in the row that begins at `offset`, by property."""
+    lengths = {}
+    for number, each in enumerate(element.properties):
+        length = 1
+        if each.count is not None:
+            length, offset = _read_length(data, offset, np.dtype(order + each.count))
+            lengths[number] = length
+        offset += length * int(each.kind[1])
+        if offset > len(data):
+            raise ValueError(f"ends within a row of '{element.name}': truncated?")
+    return lengths
+
+
+def _read_length(data: bytes, offset: int, kind: np.dtype) -> tuple[int, int]:
+    """Return the length of a list, and the offset of its first entry."""
+    if offset + kind.itemsize > len(data):
+        raise ValueError("ends within a list: truncated?")
+    length = float(np.frombuffer(data, kind, 1, offset)[0])
+    if not 0 <= length <= len(data) or length != int(length):
+        raise ValueError(f"has a list of {length:g} entries")
+    return int(length), offset + kind.itemsize
+
+
+def _read_uneven(
+    data: bytes, offset: int, element: _Element, order: str, out: _Rows
+) -> tuple[_Rows, int]:
+    """Return what `_read_element` does, for lists of different lengths: row by row."""
+    starts = np.empty((element.count, len(element.properties)), dtype=np.int64)
+    lengths = np.ones_like(starts)
+    plan = [
+        (int(p.kind[1]), None if p.count is None else _FORMAT(order + _CODES[p.count]))
+        for p in element.properties
+    ]
+    end = len(data)
+    for k in range(element.count):
+        for number, (size, counter) in enumerate(plan):
+            length = 1
+            if counter is not None:
+                if offset + counter.size > end:
+                    raise ValueError(f"ends within a row of '{element.name}': truncated?")
+                length = counter.unpack_from(data, offset)[0]
+                if not 0 <= length <= end or length != int(length):
+                    raise ValueError(f"has a list of {length:g} entries")
+                length = int(length)
+                lengths[k, number] = length
+                offset += counter.size
+            starts[k, number] = offset
+            offset += length * size
+        if offset > end:
+            raise ValueError(f"ends within a row of '{element.name}': truncated?")
+    raw = np.frombuffer(data, np.uint8)
+    for number, each in enumerate(element.properties):
+        kind = np.dtype(order + each.kind)
+
+        def entries(rows: np.ndarray, length: int, number=number, kind=kind) -> np.ndarray:
+            """Return the entries (m, length) of lists of one length."""
+            place = starts[rows, number][:, None] + np.arange(length * kind.itemsize)
+            return raw[place].view(kind).reshape(len(rows), length)
+
+        if each.count is None:
+            out.numbers[each.name] = entries(np.arange(element.count), 1)[:, 0]
+        else:
+            groups = [(np.flatnonzero(lengths[:, number] == length), int(length))
+                      for length in np.unique(lengths[:, number])]  # fmt: skip
+            out.lists[each.name] = [(rows, entries(rows, length)) for rows, length in groups]
+    return out, offset
+
+
+_CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f8": "d"}
+
+
+def _triangles(face: _Rows | None) -> tuple[np.ndarray, np.ndarray]:
+    """Return the triangles (m, 3) of the faces, in order, and the face (m,) of each."""
+    corners, rows = [np.empty((0, 3), np.int64)], [np.empty(0, np.int64)]
+    lists = [] if face is None else [face.lists[name] for name in _CORNERS if name in face.lists]
+    for row, polygons in lists[0] if lists else []:
+        if polygons.shape[1] < 3:
+            continue
+        with np.errstate(invalid="ignore"):
+            parts = fans(polygons.astype(np.int64))
+        corners.append(parts)
+        rows.append(np.repeat(row, polygons.shape[1] - 2))
+    face_of = np.concatenate(rows)
+    order = np.argsort(face_of, kind="stable")
+    return np.concatenate(corners)[order], face_of[order]
+
+
+def _colors(rows: _Rows) -> np.ndarray | None:
+    """Return the colors 0..1 (n, 3) of the rows of an element, or None."""
+    for names in COLOR_NAMES:
+        if all(name in rows.numbers for name in names):
+            values = np.stack([rows.numbers[name] for name in names], axis=1)
+            return unit_colors(values, rows.is_integer[names[0]])
+    return None
