@@ -89,8 +89,9 @@ class Object(StrictModel):
     gaussians: str | None = None
     """a Gaussian file (.ply .splat .spz .sog .glb .gltf .ksplat), relative to the scene's folder"""
     mesh: str | None = None
-    """a surface mesh (.obj .stl .ply .vtk .vtu), relative to the scene's folder; colored by the
-    texture of an .obj's material (map_Kd, beside it or below) or by its points"""
+    """a surface mesh (.obj .stl .ply .vtk .vtp .vtu), relative to the scene's folder; colored by the
+    texture of an .obj's material (map_Kd, beside it or below), by its points, or by its triangles
+    (also Kd of materials)"""
     shape: Shape | None = None
     """a solid made of simple shapes"""
     frame: Frame | None = None
@@ -199,7 +200,7 @@ class Object(StrictModel):
     thin: Switch = False
     """colliders only: a shell, up to three cells thick, both sides of which may be wet, such as a
     cup or a plate. What is on one side neither passes to the other nor feels it. Walls thinner than
-    half a cell act as half a cell thick"""
+    half a cell act as half a cell thick, and so do the faces of an open mesh"""
     rigid: Switch = False
     """bodies of solids only: a free rigid body. It does not deform, moves by its momentum, and has
     no particles. Density and friction are those of its material"""
