@@ -69,8 +69,8 @@ class SheetCollider:
         tree, triangle = self._far_pieces
         away, number = tree.query(x)
         best = closest_points(self.corner[triangle[number]], x)
-        near = np.flatnonzero(away < _FAR_CELLS / SHEET_CELLS * self.thickness)
-        best[near] = self._closest_of_near(x[near])
+        close_rows = np.flatnonzero(away < _FAR_CELLS / SHEET_CELLS * self.thickness)
+        best[close_rows] = self._closest_of_near(x[close_rows])
         return best
 
     def _closest_of_near(self, x: np.ndarray) -> np.ndarray:

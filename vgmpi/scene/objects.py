@@ -90,8 +90,7 @@ class Object(StrictModel):
     """a Gaussian file (.ply .splat .spz .sog .glb .gltf .ksplat), relative to the scene's folder"""
     mesh: str | None = None
     """a surface mesh (.obj .stl .ply .vtk .vtp .vtu), relative to the scene's folder; colored by the
-    texture of an .obj's material (map_Kd, beside it or below), by its points, or by its triangles
-    (also Kd of materials)"""
+    textures (map_Kd) and colors (Kd) of an .obj's materials, by its points or by its triangles"""
     shape: Shape | None = None
     """a solid made of simple shapes"""
     frame: Frame | None = None

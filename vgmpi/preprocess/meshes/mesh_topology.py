@@ -86,23 +86,25 @@ def analyze_mesh(mesh: Mesh) -> MeshTopology:
     directed = np.flatnonzero(np.repeat(is_proper, 3))
     # parts that touch, but have points of their own, stay apart
     own = _edges(mesh.triangles, directed)
-    rest = _edges(placed, np.sort(own.directed[own.rows(own.count != 2)]))
-    shell, side = _shells([own, rest], is_proper)
+    remaining = _edges(placed, np.sort(own.directed[own.rows(own.count != 2)]))
+    shell, side = _shells([own, remaining], is_proper)
     count = shell.max(initial=-1) + 1
-    rim, branches = rest.rows(rest.count == 1), rest.rows(rest.count > 2)
+    rim, branches = remaining.rows(remaining.count == 1), remaining.rows(remaining.count > 2)
     if not count:  # lines and points
         none = np.zeros(0, dtype=bool)
         flips = np.zeros(len(placed), dtype=bool)
         return MeshTopology(shell, none, flips, none, none, 0, 0, *_holes(placed, label, none))
     is_closed, is_whole = np.ones(count, dtype=bool), np.ones(count, dtype=bool)
-    is_closed[shell[rest.directed[rim] // 3]] = False
-    is_whole[shell[rest.directed[branches] // 3]] = False  # it ends at others: no side of its own
-    flips, is_mixed = _orientation(mesh, shell, side, rest.directed[rim], is_whole)
+    is_closed[shell[remaining.directed[rim] // 3]] = False
+    is_whole[shell[remaining.directed[branches] // 3]] = (
+        False  # it ends at others: no side of its own
+    )
+    flips, is_mixed = _orientation(mesh, shell, side, remaining.directed[rim], is_whole)
     total = np.bincount(shell[is_proper], minlength=count)
-    size, center = _holes(mesh.points, label, rest.ends[rim])
+    size, center = _holes(mesh.points, label, remaining.ends[rim])
     return MeshTopology(
         shell, is_closed, flips, 2 * np.bincount(shell[flips], minlength=count) > total, is_mixed,
-        len(rim), int((rest.count > 2).sum()), size, center,
+        len(rim), int((remaining.count > 2).sum()), size, center,
     )  # fmt: skip
 
 
@@ -148,8 +150,8 @@ def describe_turned_shells(topology: MeshTopology) -> str:
     count = len(topology.inside_out)
     wrong = int(topology.inside_out.sum())
     if wrong:
-        whole = "its only shell" if count == 1 else f"{wrong:,} of its {count:,} shells"
-        parts.append(f"{whole} {'is' if wrong == 1 else 'are'} inside out")
+        text = "its only shell" if count == 1 else f"{wrong:,} of its {count:,} shells"
+        parts.append(f"{text} {'is' if wrong == 1 else 'are'} inside out")
     mixed = int((topology.is_mixed & ~topology.inside_out).sum())
     if mixed:
         parts.append(f"triangles of {mixed:,} of its {count:,} shells face both ways")
@@ -168,10 +170,10 @@ def _joined_points(mesh: Mesh) -> np.ndarray:
     rim = np.unique(edges.ends[edges.rows(edges.count == 1)])
     if not len(rim):
         return label
-    one = np.zeros(label.max() + 1, dtype=np.int64)
-    one[label[used]] = used
+    point_at = np.zeros(label.max() + 1, dtype=np.int64)
+    point_at[label[used]] = used
     extent = float(np.ptp(x, axis=0).max())
-    tree = scipy.spatial.cKDTree(mesh.points[one[rim]] / extent)
+    tree = scipy.spatial.cKDTree(mesh.points[point_at[rim]] / extent)
     pairs = tree.query_pairs(_SEAM, output_type="ndarray")
     links = scipy.sparse.coo_array((np.ones(len(pairs)), pairs.T), (len(rim), len(rim)))
     part = connected_components(links, directed=False)[1]
@@ -250,26 +252,26 @@ def _orientation(
         rim: Directed edges that are boundary edges.
         is_whole: Whether a shell has two sides of its own, shape (s,).
     """
-    count, kept = len(is_whole), shell >= 0
+    count, in_shell = len(is_whole), shell >= 0
     corner = mesh.corners()
     low = corner.reshape(-1, 3).min(axis=0)
     extent = float((corner.reshape(-1, 3).max(axis=0) - low).max())
     corner = (corner - low) / extent
     # volumes about the middle of a shell's rim, as if its holes were closed from there
     middle = (corner[rim // 3, rim % 3] + corner[rim // 3, (rim % 3 + 1) % 3]) / 2
-    about = _means(corner[kept].mean(axis=1), shell[kept], count)
+    about = _means(corner[in_shell].mean(axis=1), shell[in_shell], count)
     of_rim = np.bincount(shell[rim // 3], minlength=count) > 0
     about = np.where(of_rim[:, None], _means(middle, shell[rim // 3], count), about)
     a, b, c = (corner - about[shell][:, None]).transpose(1, 0, 2)
     volume = (a * np.cross(b, c)).sum(axis=1) / 6
     cross = np.cross(b - a, c - a) / 2
-    area = np.bincount(shell[kept], np.linalg.norm(cross, axis=1)[kept], count)
-    facing_area = _means((cross * side[:, None])[kept], shell[kept], count)
-    own = np.bincount(shell[kept], (volume * side)[kept], count)
-    facing = np.bincount(shell[kept], side[kept], count)
-    size = np.bincount(shell[kept], minlength=count)
+    area = np.bincount(shell[in_shell], np.linalg.norm(cross, axis=1)[in_shell], count)
+    facing_area = _means((cross * side[:, None])[in_shell], shell[in_shell], count)
+    own = np.bincount(shell[in_shell], (volume * side)[in_shell], count)
+    facing = np.bincount(shell[in_shell], side[in_shell], count)
+    size = np.bincount(shell[in_shell], minlength=count)
     is_mixed = np.abs(facing) < size
-    is_twisted = np.bincount(shell[kept], (side == 0)[kept], count) > 0
+    is_twisted = np.bincount(shell[in_shell], (side == 0)[in_shell], count) > 0
     may_turn = is_whole & ~is_twisted
     # side that is outside, 0 where there is none
     has_inside = np.linalg.norm(facing_area, axis=1) * size < _OPENNESS * area
@@ -279,9 +281,9 @@ def _orientation(
     wanted = np.where(has_inside, outward, majority)  # sheets face one way at least
     is_backward = has_inside & (majority != outward) & may_turn
     if is_backward.any():
-        keep = _cavities(corner, shell, side, majority, is_backward, may_turn & has_inside)
-        wanted = np.where(keep, -wanted, wanted)
-    turned = may_turn[shell] & kept & (side != wanted[shell])
+        is_cavity = _cavities(corner, shell, side, majority, is_backward, may_turn & has_inside)
+        wanted = np.where(is_cavity, -wanted, wanted)
+    turned = may_turn[shell] & in_shell & (side != wanted[shell])
     return turned, is_mixed
 
 
@@ -304,9 +306,9 @@ def _cavities(corner, shell, side, majority, is_backward, is_solid) -> np.ndarra
     """
     count = len(is_solid)
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
-    kept = shell >= 0
-    np.minimum.at(low, shell[kept], corner[kept].min(axis=1))
-    np.maximum.at(high, shell[kept], corner[kept].max(axis=1))
+    in_shell = shell >= 0
+    np.minimum.at(low, shell[in_shell], corner[in_shell].min(axis=1))
+    np.maximum.at(high, shell[in_shell], corner[in_shell].max(axis=1))
     order = np.argsort(-np.prod(high - low, axis=1), kind="stable")  # what holds comes first
     rows = np.split(np.argsort(shell, kind="stable"), np.searchsorted(np.sort(shell), range(count)))
     rows = rows[1:]  # the first are triangles of no shell

@@ -49,12 +49,12 @@ def _colors(header: bytes, word: np.ndarray) -> np.ndarray | None:
     own = np.stack([(word >> shift) & 31 for shift in shifts], axis=1) / 31.0
     if not is_magics and not has_color.any():
         return None
-    rest = np.full(3, np.nan)
+    default = np.full(3, np.nan)
     if is_magics:
         start = header.index(b"COLOR=") + 6
-        whole = np.frombuffer(header[start : start + 3], np.uint8)
-        rest = whole / 255.0 if len(whole) == 3 else rest
-    return np.where(has_color[:, None], own, rest)
+        body_color = np.frombuffer(header[start : start + 3], np.uint8)
+        default = body_color / 255.0 if len(body_color) == 3 else default
+    return np.where(has_color[:, None], own, default)
 
 
 def _text(data: bytes) -> Mesh:

@@ -7,7 +7,7 @@ import numpy as np
 from .texture import Textures
 
 COLOR_NAMES = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
-_EIGHT_BITS, _SIXTEEN_BITS = 255.0, 65535.0  # [-] largest values of a color in integers
+_EIGHT_BITS, _SIXTEEN_BITS = 255.0, 65535.0  # [-] maximum values of a color in integers
 
 
 @dataclass(frozen=True)
@@ -41,9 +41,9 @@ def unit_colors(values: np.ndarray, is_integer: bool) -> np.ndarray:
         is_integer: Whether the file declares integers.
     """
     rgb = np.asarray(values)[:, :3].astype(np.float64)
-    largest = rgb.max(initial=0.0, where=np.isfinite(rgb))
-    if is_integer or largest > 1.0:
-        rgb /= _SIXTEEN_BITS if largest > _EIGHT_BITS else _EIGHT_BITS
+    maximum = rgb.max(initial=0.0, where=np.isfinite(rgb))
+    if is_integer or maximum > 1.0:
+        rgb /= _SIXTEEN_BITS if maximum > _EIGHT_BITS else _EIGHT_BITS
     return np.clip(np.nan_to_num(rgb, nan=0.0), 0.0, 1.0)
 
 

@@ -50,11 +50,11 @@ def read_vtk(path: Path) -> Mesh:
             f" than {memory_budget.format_bytes(allowance)} of memory"
         )
     with np.load(io.BytesIO(job.stdout), allow_pickle=False) as arrays:
-        found = {name: arrays[name] for name in arrays.files}
-    points, triangles = found["points"], found["triangles"].astype(np.int64)
+        fields = {name: arrays[name] for name in arrays.files}
+    points, triangles = fields["points"], fields["triangles"].astype(np.int64)
     return Mesh(
-        points, triangles, _colors(found, "point", len(points)),
-        triangle_rgb=_colors(found, "cell", len(triangles)),
+        points, triangles, _colors(fields, "point", len(points)),
+        triangle_rgb=_colors(fields, "cell", len(triangles)),
     )  # fmt: skip
 
 
@@ -66,14 +66,14 @@ def _cause(code: int) -> str:
         return f"exit code {code}"
 
 
-def _colors(found: dict[str, np.ndarray], place: str, count: int) -> np.ndarray | None:
+def _colors(fields: dict[str, np.ndarray], place: str, count: int) -> np.ndarray | None:
     """Return the colors 0..1 (count, 3) of points or cells, or None."""
     names = [f"{place} {name}" for name in COLOR_NAMES[0]]
-    if all(name in found for name in names):
-        values = np.stack([found[name] for name in names], axis=1)
+    if all(name in fields for name in names):
+        values = np.stack([fields[name] for name in names], axis=1)
     else:
         # VTK's own colors, of bytes, come after arrays that are named so
-        wide = [v for k, v in found.items() if k.startswith(f"{place} ") and v.ndim == 2]
+        wide = [v for k, v in fields.items() if k.startswith(f"{place} ") and v.ndim == 2]
         wide.sort(key=lambda each: each.dtype == np.uint8)
         values = wide[0] if wide else np.empty((0, 3))
     if len(values) != count or not count:

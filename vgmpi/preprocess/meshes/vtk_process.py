@@ -43,7 +43,7 @@ def main(path: str, allowance: int) -> None:
         refuse(_reason(text))
 
     report.CallDataType = "string0"  # type: ignore[attr-defined]
-    window.AddObserver("ErrorEvent", report)
+    window.AddObserver("ErrorEvent", report)  # type: ignore[arg-type]
     reader = _reader(path)
     _limit_memory(allowance)
     try:
@@ -64,7 +64,7 @@ def main(path: str, allowance: int) -> None:
         cut.PassLinesOff()
         cut.SetInputData(data)
         cut.Update()
-        np.savez(output, **_arrays(cut.GetOutput()))
+        np.savez(output, **_arrays(cut.GetOutput()))  # type: ignore[arg-type]
         output.flush()
     except MemoryError:
         refuse("needs more memory than its size explains")
@@ -90,9 +90,9 @@ def _reader(path: str):
 def _limit_memory(allowance: int) -> None:
     """Let this process take `allowance` bytes more than it has now."""
     with open("/proc/self/statm") as file:
-        held = int(file.read().split()[0]) * resource.getpagesize()
+        size = int(file.read().split()[0]) * resource.getpagesize()
     hard = resource.getrlimit(resource.RLIMIT_AS)[1]
-    limit = held + allowance if hard == resource.RLIM_INFINITY else min(held + allowance, hard)
+    limit = size + allowance if hard == resource.RLIM_INFINITY else min(size + allowance, hard)
     resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
 
 

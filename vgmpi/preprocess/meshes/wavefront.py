@@ -52,17 +52,17 @@ def read_obj(path: Path) -> Mesh:
 
 def _lines(path: Path) -> Iterator[str]:
     """Yield the lines of a text file; a backslash at the end of a line continues it."""
-    held = ""
+    line_start = ""
     with open(path, errors="replace") as file:
         for text in file:
             for line in text.splitlines():  # this includes rare line separators
                 if line.endswith("\\"):
-                    held += line[:-1] + " "
+                    line_start += line[:-1] + " "
                     continue
-                yield held + line
-                held = ""
-    if held:
-        yield held
+                yield line_start + line
+                line_start = ""
+    if line_start:
+        yield line_start
 
 
 def _corner(word: str, points: int, uvs: int) -> tuple[int, int]:
