@@ -37,7 +37,7 @@ OUTSIDE = {  # packages that only some files may use
         "vgmpi/apps/photo/visual_hull.py",
         "vgmpi/apps/notebook/run_frames.py",
     ),
-    "vtkmodules": ("vgmpi/preprocess/meshes/vtk_process.py",),  # a process of its own
+    "vtkmodules": ("vgmpi/preprocess/meshes/reader_process.py",),  # a process of its own
     "pxr": ("vgmpi/rendering/usd_stage.py",),  # OpenUSD: one file of a moving run
     "pysplashsurf": ("vgmpi/rendering/particle_surface.py",),  # surfaces: vgmpi export --surface
     "viser": ("postprocess/replay.py", "vgmpi/rendering/live/guarded_server.py"),
@@ -178,7 +178,7 @@ def test_packages_are_used_in_their_rooms(file):
         ("vgmpi/rendering/studio/density_field.py", "vgmpi.runtime.jit"),
         ("vgmpi/apps/photo/object_masks.py", "transformers"),
         ("vgmpi/apps/fit/sds_descent.py", "torch"),
-        ("vgmpi/preprocess/meshes/vtk_file.py", "vtkmodules"),
+        ("vgmpi/preprocess/meshes/bounded_reader.py", "vtkmodules"),
         ("vgmpi/apps/fit/target_factory.py", "diffusers"),
     ],
 )

@@ -15,7 +15,7 @@ import pytest
 
 from tests.support import damaged_meshes
 from tests.support.launch import PATIENCE
-from vgmpi.preprocess.meshes import surface_mesh, vtk_file
+from vgmpi.preprocess.meshes import bounded_reader, surface_mesh
 from vgmpi.preprocess.meshes.surface_mesh import MeshError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -145,7 +145,7 @@ def test_a_header_that_promises_too_much(tmp_path, name, text):
 def test_a_reader_that_ends_is_one_line(tmp_path, monkeypatch, text):
     program = tmp_path / "program.py"
     program.write_text(text)
-    monkeypatch.setattr(vtk_file, "_PROGRAM", program)
+    monkeypatch.setattr(bounded_reader, "_PROGRAM", program)
     (tmp_path / "a.vtp").write_bytes(b"any")
     with pytest.raises(MeshError, match="reader ended by (exit code 7|SIGABRT)"):
         surface_mesh.read(tmp_path / "a.vtp")
@@ -154,8 +154,8 @@ def test_a_reader_that_ends_is_one_line(tmp_path, monkeypatch, text):
 def test_a_reader_that_never_ends_is_stopped(tmp_path, monkeypatch):
     program = tmp_path / "program.py"
     program.write_text("import time; time.sleep(600)")
-    monkeypatch.setattr(vtk_file, "_PROGRAM", program)
-    monkeypatch.setattr(vtk_file, "_FREE_SECONDS", 0.5)
+    monkeypatch.setattr(bounded_reader, "_PROGRAM", program)
+    monkeypatch.setattr(bounded_reader, "_FREE_SECONDS", 0.5)
     (tmp_path / "a.vtp").write_bytes(b"any")
     with pytest.raises(MeshError, match="takes more than 0 s|takes more than 1 s"):
         surface_mesh.read(tmp_path / "a.vtp")

@@ -2,6 +2,7 @@
 
 import struct
 
+import meshio.gmsh
 import numpy as np
 import pytest
 import pyvista
@@ -68,6 +69,22 @@ def test_ply_colors_of_faces_and_opacity(tmp_path, form):
     square = cloud.x[:, 1] < 0.99
     assert np.allclose(cloud.rgb[square], RGB[0] / 255, atol=1e-6) and square.sum() > 1000
     assert np.allclose(cloud.rgb[cloud.x[:, 1] > 1.01], RGB[1] / 255, atol=1e-6)
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_a_mesh_of_gmsh(tmp_path, binary):
+    """Triangles and a quadrilateral of a file in gmsh's format 2.2, which meshio reads."""
+    points = np.array([[0, 0, 0], [1, 0, 0], [1, 2, 0], [0, 2, 0], [0, 0, 3]], float)
+    cells = [("triangle", np.array([[0, 1, 4], [1, 2, 4]])), ("quad", np.array([[0, 3, 2, 1]]))]
+    path = tmp_path / "a.msh"
+    meshio.gmsh.write(path, meshio.Mesh(points, cells), "2.2", binary)
+    mesh = surface_mesh.read(path)
+    np.testing.assert_array_equal(mesh.points, points)
+    np.testing.assert_array_equal(mesh.triangles, [[0, 1, 4], [1, 2, 4], [0, 3, 2], [0, 2, 1]])
+    path.write_bytes(path.read_bytes()[:40])
+    with pytest.raises(surface_mesh.MeshError, match="cannot be read|holds no") as error:
+        surface_mesh.read(path)
+    assert len(str(error.value).splitlines()) == 1
 
 
 def test_ply_of_sixteen_bits_and_double_points(tmp_path):

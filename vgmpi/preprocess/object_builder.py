@@ -169,6 +169,8 @@ def _from_mesh(scene: Scene, k: int, obj: Object) -> BuiltObject:
     """Return an object made of a surface mesh."""
     spacing = spacing_of(scene, obj)
     surface_mesh = mesh.read(scene.files[obj.name])
+    if surface_mesh.has_material_colors and "color" in obj.model_fields_set:
+        surface_mesh = replace(surface_mesh, triangle_rgb=None)
     transform = placement(obj, lambda d: float((surface_mesh.points @ d).max()))
     placed = replace(surface_mesh, points=transform.to_domain(surface_mesh.points))
     low, high = placed.points.min(axis=0), placed.points.max(axis=0)

@@ -89,8 +89,8 @@ class Object(StrictModel):
     gaussians: str | None = None
     """a Gaussian file (.ply .splat .spz .sog .glb .gltf .ksplat), relative to the scene's folder"""
     mesh: str | None = None
-    """a surface mesh (.obj .stl .ply .vtk .vtp .vtu), relative to the scene's folder; colored by the
-    textures (map_Kd) and colors (Kd) of an .obj's materials, by its points or by its triangles"""
+    """a surface mesh (.obj .stl .ply .vtk .vtp .vtu .msh), relative to the scene's folder; colored
+    by the textures (map_Kd) and colors (Kd) of an .obj's materials, its points or its triangles"""
     shape: Shape | None = None
     """a solid made of simple shapes"""
     frame: Frame | None = None
@@ -163,7 +163,8 @@ class Object(StrictModel):
     """solids only: render the pruned Gaussians, too. Each follows the 4 particles nearest to it at
     rest and has no mass"""
     color: Color = (0.7, 0.7, 0.7)
-    """color of shapes, and of meshes without colors: "#rrggbb" or three numbers 0..1"""
+    """color of shapes, and of meshes without colors: "#rrggbb" or three numbers 0..1. It goes
+    before the colors (Kd) of an .obj's materials"""
     opacity: Share = 0.95
     """opacity of the Gaussians made for shapes, meshes and fillings"""
     opacity_scale: Share = 1.0

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from vgmpi import gaussians
 from vgmpi import preprocess as preparation
 from vgmpi.io import checkpoint, file_layout, hdf5_writer, initial_state
 from vgmpi.io.run_reader import RunError, opened, read_gaussians
@@ -300,7 +301,7 @@ def preparation_hash(scene: Scene) -> str:
     """Return the hash of everything that the particles depend on.
 
     It covers the resolved text of the scene, the files that the scene reads and the source code
-    of the preparation.
+    of the preparation and of the readers of captures.
     """
     hasher = hashlib.sha256(json.dumps(scene.to_json(), sort_keys=True).encode())
     for name in sorted(scene.files):
@@ -308,9 +309,9 @@ def preparation_hash(scene: Scene) -> str:
             with open(path, "rb") as file:  # it may be of any size
                 while chunk := file.read(1 << 20):
                     hasher.update(chunk)
-    (folder,) = preparation.__path__
-    for path in sorted(Path(folder).rglob("*.py")):
-        hasher.update(path.read_bytes())
+    for folder in (*preparation.__path__, *gaussians.__path__):
+        for path in sorted(Path(folder).rglob("*.py")):
+            hasher.update(path.read_bytes())
     return hasher.hexdigest()
 
 

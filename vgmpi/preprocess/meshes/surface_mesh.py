@@ -12,14 +12,15 @@ from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
 from vgmpi.runtime import memory_budget
 from vgmpi.runtime.config.toml_source import escape_control_characters, truncate
 
+from .bounded_reader import SUFFIXES, read_by_library
 from .ply_mesh import read_ply
 from .stl import read_stl
 from .triangle_mesh import Mesh
-from .vtk_file import SUFFIXES, read_vtk
 from .wavefront import read_obj
 
 _READERS: dict[str, Callable[[Path], Mesh]] = {
-    ".obj": read_obj, ".stl": read_stl, ".ply": read_ply, **dict.fromkeys(SUFFIXES, read_vtk),
+    ".obj": read_obj, ".stl": read_stl, ".ply": read_ply,
+    **dict.fromkeys(SUFFIXES, read_by_library),
 }  # fmt: skip
 FORMATS = tuple(_READERS)
 MIN_SAMPLES = 20_000  # Gaussians on a surface, so that small objects are drawn smoothly

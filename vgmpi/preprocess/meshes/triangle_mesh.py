@@ -16,7 +16,8 @@ class Mesh:
 
     points (n, 3) in the file's units, triangles (m, 3) of point numbers, rgb (n, 3) or None;
     triangle_rgb (m, 3), NaN where a triangle has no color, or None. Textures take precedence over
-    rgb, rgb over triangle_rgb.
+    rgb, rgb over triangle_rgb. has_material_colors: whether triangle_rgb are those of materials,
+    which many programs write for every mesh.
     """
 
     points: np.ndarray
@@ -24,6 +25,7 @@ class Mesh:
     rgb: np.ndarray | None = None
     textures: Textures | None = None
     triangle_rgb: np.ndarray | None = None
+    has_material_colors: bool = False
 
     def corners(self) -> np.ndarray:
         """Return the corners of every triangle, shape (m, 3 corners, 3)."""

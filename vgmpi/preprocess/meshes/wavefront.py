@@ -47,7 +47,8 @@ def read_obj(path: Path) -> Mesh:
     index = np.array(corners, dtype=np.int64).reshape(-1, 3, 2)
     properties = _materials(path, libraries)
     textures = _textures(path, properties, materials, uv, index[:, :, 1])
-    return Mesh(x, index[:, :, 0], rgb, textures, _material_colors(properties, materials))
+    colors = _material_colors(properties, materials)
+    return Mesh(x, index[:, :, 0], rgb, textures, colors, has_material_colors=colors is not None)
 
 
 def _lines(path: Path) -> Iterator[str]:

@@ -1,8 +1,8 @@
-"""Program that reads one VTK file and writes its triangles to standard output, as .npz.
+"""Program that reads one mesh by a library and writes its triangles to standard output, as .npz.
 
-It runs apart from vgmpi, with bounds on its memory and time, since VTK's readers trust a file.
-It is called as `python vtk_process.py FILE BYTES`, and ends with code 2 and one line of text where
-the file cannot be read. It imports nothing of vgmpi.
+It runs apart from vgmpi, with bounds on its memory and time, since the libraries trust a file.
+It is called as `python reader_process.py FILE BYTES`, and ends with code 2 and one line of
+text where the file cannot be read. It imports nothing of vgmpi.
 """
 
 import os
@@ -30,6 +30,9 @@ def main(path: str, allowance: int) -> None:
         output.flush()
         os._exit(REFUSED)  # at once: after a reader's first error nothing it holds is of use
 
+    if path.lower().endswith(".msh"):
+        _write_gmsh(path, allowance, output, refuse)
+        return
     from vtkmodules.vtkCommonCore import vtkOutputWindow
     from vtkmodules.vtkCommonDataModel import vtkPolyData, vtkUnstructuredGrid
     from vtkmodules.vtkFiltersCore import vtkTriangleFilter
@@ -70,6 +73,26 @@ def main(path: str, allowance: int) -> None:
         refuse("needs more memory than its size explains")
     except Exception as error:
         refuse(str(error))
+
+
+def _write_gmsh(path: str, allowance: int, output, refuse) -> None:
+    """Write the triangles and quadrilaterals of a file of gmsh, by meshio."""
+    import meshio.gmsh
+
+    _limit_memory(allowance)
+    try:
+        mesh = meshio.gmsh.read(path)
+        cells = {kind: mesh.get_cells_type(kind) for kind in ("triangle", "quad")}
+        quads = cells["quad"].reshape(-1, 4)
+        triangles = np.concatenate(
+            [cells["triangle"].reshape(-1, 3), quads[:, (0, 1, 2)], quads[:, (0, 2, 3)]]
+        )
+        np.savez(output, points=mesh.points.astype(np.float64), triangles=triangles)
+        output.flush()
+    except MemoryError:
+        refuse("needs more memory than its size explains")
+    except Exception as error:
+        refuse(str(error) or "is no file of gmsh, or damaged")
 
 
 def _reader(path: str):

@@ -1,6 +1,6 @@
-"""Meshes in VTK's files (.vtk, .vtp, .vtu): read by VTK in a process of its own.
+"""Meshes that libraries read, in a process of its own: VTK (.vtk, .vtp, .vtu), meshio (.msh).
 
-VTK's readers trust all sizes in a file, unpack all data, and may crash on damaged files. The
+Their readers trust all sizes in a file, unpack all data, and may crash on damaged files. The
 process has a bound on its memory and its time, so that a file costs no more than its size explains.
 """
 
@@ -16,16 +16,16 @@ from vgmpi.runtime import memory_budget
 
 from .triangle_mesh import COLOR_NAMES, Mesh, unit_colors
 
-SUFFIXES = (".vtk", ".vtp", ".vtu")
+SUFFIXES = (".vtk", ".vtp", ".vtu", ".msh")
 _FREE_BYTES = 1 << 28  # [bytes] memory that any file may take
 _MAX_RATIO = 100  # [-] memory relative to the file, of large ones
 _FREE_SECONDS, _SECONDS_PER_BYTE = 60.0, 1e-6  # [s] time that a file may take
-_PROGRAM = Path(__file__).with_name("vtk_process.py")
+_PROGRAM = Path(__file__).with_name("reader_process.py")
 _REFUSED = 2  # exit code of the program where it says why
 
 
-def read_vtk(path: Path) -> Mesh:
-    """Return the triangles of a VTK file: polygons, strips, and the surface of volume cells.
+def read_by_library(path: Path) -> Mesh:
+    """Return the triangles of a file: polygons, strips, and the surface of VTK's volume cells.
 
     Raises:
         ValueError: The file cannot be read, or takes more than its size can explain.
@@ -46,7 +46,7 @@ def read_vtk(path: Path) -> Mesh:
         raise ValueError(job.stdout.decode(errors="replace"))
     if job.returncode != 0:
         raise ValueError(
-            f"VTK's reader ended by {_cause(job.returncode)}: the file is damaged, or takes more"
+            f"its reader ended by {_cause(job.returncode)}: the file is damaged, or takes more"
             f" than {memory_budget.format_bytes(allowance)} of memory"
         )
     with np.load(io.BytesIO(job.stdout), allow_pickle=False) as arrays:
