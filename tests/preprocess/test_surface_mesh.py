@@ -396,7 +396,7 @@ def test_what_a_library_says_of_a_file_is_a_line_for_people(tmp_path):
 
 @pytest.mark.parametrize("color, share_of_red", [("", 0.06), ('color = "#00ff00"\n', 0.0)])
 def test_a_color_of_the_scene_goes_before_that_of_a_material(tmp_path, color, share_of_red):
-    """Kd colors one of two equal triangles of a ninth of this surface; many programs write a gray one that nobody chose."""
+    """Kd colors one of two equal triangles; many programs write a gray one that nobody chose."""
     painted(tmp_path, picture=None)
     text = MATERIAL_SCENE.replace("COLOR\n", color)
     cloud = build_object(vgmpi.load(tmp_path / "scene.toml", text=text), 1).cloud
