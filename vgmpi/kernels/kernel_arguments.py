@@ -56,7 +56,8 @@ class Walls(NamedTuple):
     """Walls of the domain: west, east; south, north; floor, roof."""
 
     cells: np.ndarray  # (3,) cells of the domain
-    kinds: np.ndarray  # (3, 2) wall kinds, see walls.KINDS
+    kinds: np.ndarray  # (3, 2) wall kinds for liquids, see wall_boundary.KINDS
+    kinds_for_solids: np.ndarray  # (3, 2) wall kinds for everything else
     kinds_for_surfaces: (
         np.ndarray
     )  # (3, 2) wall kinds for resolved surfaces: 0 if contact pushes them

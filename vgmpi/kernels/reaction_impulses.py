@@ -257,7 +257,7 @@ def _on_plane(ghosts, s, a, side, wall, i, j, jx, jy, jz):
 
 
 @device_function
-def add_fold_reaction(ghosts, s, a, side, wall, i, j, patch, ghost, stick):
+def add_fold_reaction(ghosts, s, a, side, wall, i, j, patch, ghost, stick, yields):
     """Add the reaction of folding a ghost node: a mirror reverses its odd components.
 
     Args:
@@ -269,10 +269,12 @@ def add_fold_reaction(ghosts, s, a, side, wall, i, j, patch, ghost, stick):
         patch: Patch of momenta and masses.
         ghost: Position of the ghost node in it.
         stick: Whether the wall is a stick wall.
+        yields: Whether it lets go; the mass that it folds back is stored as negative.
     """
     if ghosts is not None:
         if ghosts.holds_mass != 0:
-            ghosts.mass[ghosts.slot[s], 2 * a + side, 8 * i + j] = patch[ghost + 3]
+            mass = -patch[ghost + 3] if yields else patch[ghost + 3]
+            ghosts.mass[ghosts.slot[s], 2 * a + side, 8 * i + j] = mass
         k = -2.0 * ghosts.share
         jx = k * patch[ghost] if stick or a == 0 else 0.0
         jy = k * patch[ghost + 1] if stick or a == 1 else 0.0
@@ -297,6 +299,14 @@ def store_ghost_mass(ghosts, s, a, side, i, j, mass):
 
 
 @device_function
+def was_folded(ghosts, s, a, side, i, j):
+    """Return whether a wall that lets go has folded the mass of a ghost node back."""
+    if ghosts is not None:
+        return ghosts.mass[ghosts.slot[s], 2 * a + side, 8 * i + j] < 0
+    return False
+
+
+@device_function
 def add_mirror_reaction(ghosts, fraction, s, a, side, wall, i, j, dx, dy, dz):
     """Add the reaction of a mirrored velocity that particles gather at a ghost node.
 
@@ -310,7 +320,7 @@ def add_mirror_reaction(ghosts, fraction, s, a, side, wall, i, j, dx, dy, dz):
         dx, dy, dz: Difference from the velocity to which the node's momentum went [m/s].
     """
     if ghosts is not None:
-        m = fraction * ghosts.mass[ghosts.slot[s], 2 * a + side, 8 * i + j]
+        m = fraction * abs(ghosts.mass[ghosts.slot[s], 2 * a + side, 8 * i + j])
         _on_plane(ghosts, s, a, side, wall, i, j, m * dx, m * dy, m * dz)
 
 

@@ -4,29 +4,43 @@ A stick or slip wall stands on a node plane and mirrors the interior: the moment
 ghost nodes beyond it is folded back, reflected, onto their mirror nodes, and the ghosts' velocities
 are read from the mirror. That makes the wall second order (a plain clamp at the wall node is first
 order). Since every particle that touches a ghost node touches its mirror node too, both happen
-inside a patch. A separate wall only pushes; it is a clamp with Coulomb friction, except for bodies
-with resolved surfaces: these meet it like a collider (kernels/grid/contact.py). An open wall does
-nothing:
-particles that reach it are removed (solver/boundary/outlets.py).
+inside a patch. An open wall does nothing: particles that reach it are removed
+(solver/boundary/outlets.py).
 
-A patch meets a wall by a code: 4 * (index of the wall's nodes in the patch) + kind; 0 where it
+A separate wall only pushes. On liquids it is a clamp with Coulomb friction. On everything else it
+is a mirror for what presses on it and a clamp for what pulls: the patch of a segment folds back the
+momentum on a ghost node, with the stress impulse, if it leads into the wall. Without that, the
+pressure on the wall would push the nodes inside toward it, and the body would sink until half a
+cell of it is beyond. A ghost node at rest, as one without mass is after this, takes its velocity
+from the mirror. The decision needs the sums of one segment only, so that it is the same on any
+number of ranks. Stiff bodies with resolved surfaces meet the wall like a collider
+(kernels/grid/contact.py).
+
+A patch meets a wall by a code: 8 * (index of the wall's nodes in the patch) + kind; 0 where it
 meets none.
 """
 
 import numpy as np
 
 from vgmpi.kernels.simd.cooperative import strided_range, sync_threads
-from vgmpi.runtime.jit import device_function
+from vgmpi.runtime.jit import always_inline, device_function
 
+from .nodal_fields.field_protocol import MIRROR_IMPULSE, MIRROR_MOMENT
 from .reaction_impulses import (
     add_fold_reaction,
     add_mirror_reaction,
     add_wall_reaction,
     store_ghost_mass,
+    was_folded,
 )
 
-STICK, SLIP, SEPARATE, OPEN = 1, 2, 3, 4  # 0: a wall that acts by contact, not at the nodes
+# 0: a separate wall that pushes resolved surfaces by contact, not at its nodes; YIELDING: one for
+# everything else but liquids
+STICK, SLIP, SEPARATE, OPEN, YIELDING = 1, 2, 3, 4, 5
 KINDS = {"stick": STICK, "slip": SLIP, "separate": SEPARATE, "open": OPEN}
+# [-] pressure on a wall over the part of it on the wall's nodes: quadratic B-splines leave an
+# eighth to the nodes inside and to the ghost nodes each
+FOLDED_PUSH = 4.0 / 3.0
 SIDE = 8  # nodes along an edge of a patch
 # numbers of a patch from a node to the next along x, y, z
 NODE_STRIDES = 4 * SIDE * SIDE, 4 * SIDE, 4
@@ -48,8 +62,8 @@ def patch_codes(block: np.ndarray, cells: tuple, kinds: np.ndarray) -> np.ndarra
             wall_index = node - (4 * block[:, a] - 2)
             ghost = wall_index - 1 if side == 0 else wall_index + 1
             met = (wall_index >= 1) & (wall_index <= 6) & (ghost >= 0) & (ghost <= 7)
-            met &= 0 < kinds[a, side] < OPEN
-            codes[met, a, side] = 4 * wall_index[met] + kinds[a, side]
+            met &= kinds[a, side] not in (0, OPEN)
+            codes[met, a, side] = 8 * wall_index[met] + kinds[a, side]
     return codes
 
 
@@ -64,32 +78,40 @@ def _plane_strides(a):
 
 
 @device_function
-def fold_ghost_momentum(patch, mirror, as_offset, ghosts, s):
-    """Add the ghost nodes of stick and slip walls, reflected, to their mirror nodes.
+def fold_ghost_momentum(patch, mirror, field_mirror, ghosts, s):
+    """Add the ghost nodes of walls, reflected, to their mirror nodes.
+
+    Stick and slip walls reflect all, separate walls of solids what presses on them.
 
     Args:
         patch: Patch (in/out), shape (2048,) or longer.
         mirror: Wall codes, shape (3, 2).
-        as_offset: Whether the patch holds volume and offset, which every wall reflects like slip.
+        field_mirror: How walls reflect the field, see nodal_fields/field_protocol.py.
         ghosts: Ghost nodes that record the change of momentum, or None.
         s: Row of the segment.
     """
     for a in range(3):
         for side in range(2):
             code = mirror[a, side]
-            kind = code & 3
-            if code == 0 or kind == SEPARATE:
+            kind = code & 7
+            yields = kind == YIELDING
+            if code == 0 or kind == SEPARATE or (yields and field_mirror != MIRROR_IMPULSE):
                 continue
-            wall = code >> 2
+            wall = code >> 3
             step = 1 if side == 0 else -1
             across, first, second = _plane_strides(a)
             for q in strided_range(SIDE * SIDE):
                 i, j = q // SIDE, q % SIDE
                 node = i * first + j * second
                 inner, ghost = node + (wall + step) * across, node + (wall - step) * across
-                add_fold_reaction(ghosts, s, a, side, wall, i, j, patch, ghost, kind == STICK)
+                if yields and not step * patch[ghost + a] < 0:  # it does not press
+                    store_ghost_mass(ghosts, s, a, side, i, j, patch[ghost + 3])
+                    continue
+                add_fold_reaction(
+                    ghosts, s, a, side, wall, i, j, patch, ghost, kind == STICK, yields
+                )
                 for c in range(4):
-                    odd = c == a or (kind == STICK and c < 3 and not as_offset)
+                    odd = c == a or (kind == STICK and c < 3 and field_mirror != MIRROR_MOMENT)
                     patch[inner + c] += -patch[ghost + c] if odd else patch[ghost + c]
                     patch[ghost + c] = 0
             sync_threads()
@@ -103,9 +125,9 @@ def _store_masses(patch, mirror, ghosts, s):
     for a in range(3):
         for side in range(2):
             code = mirror[a, side]
-            if code & 3 != SEPARATE:
+            if code & 7 != SEPARATE:
                 continue
-            beyond = (code >> 2) - 1 if side == 0 else (code >> 2) + 1
+            beyond = (code >> 3) - 1 if side == 0 else (code >> 3) + 1
             across, first, second = _plane_strides(a)
             for q in strided_range(SIDE * SIDE):
                 i, j = q // SIDE, q % SIDE
@@ -129,20 +151,21 @@ def fill_ghost_velocity(patch, mirror, ghosts, fraction, s):
             code = mirror[a, side]
             if code == 0:
                 continue
-            wall = code >> 2
-            kind = code & 3
+            wall = code >> 3
+            kind = code & 7
             step = 1 if side == 0 else -1
             across, first, second = _plane_strides(a)
             for q in strided_range(SIDE * SIDE):
                 i, j = q // SIDE, q % SIDE
                 node = i * first + j * second
                 inner, ghost = node + (wall + step) * across, node + (wall - step) * across
-                if kind != SEPARATE:
+                slips = kind == SLIP or (kind == YIELDING and _is_at_rest(patch, ghost))
+                if kind == STICK or kind == SLIP:
                     patch[ghost + 3] = patch[inner + 3]
                 for c in range(3):
-                    if kind == STICK or (kind == SLIP and c == a):
+                    if kind == STICK or (slips and c == a):
                         patch[ghost + c] = -patch[inner + c]
-                    elif kind == SLIP:
+                    elif slips:
                         patch[ghost + c] = patch[inner + c]
                     elif c == a:
                         # a wall that only pushes: the flow interpolated at the wall must not
@@ -150,11 +173,19 @@ def fill_ghost_velocity(patch, mirror, ghosts, fraction, s):
                         before, image = patch[ghost + c], -patch[inner + c]
                         patch[ghost + c] = max(before, image) if side == 0 else min(before, image)
                         more = patch[ghost + c] - before
+                        if was_folded(ghosts, s, a, side, i, j):
+                            continue
                         x, y, z = _along(a, more)
                         add_mirror_reaction(ghosts, fraction, s, a, side, wall, i, j, x, y, z)
             sync_threads()
     if ghosts is not None:
         _record_mirror(patch, mirror, ghosts, fraction, s)
+
+
+@always_inline
+def _is_at_rest(patch, node):
+    """Return whether a node of a patch is at rest, as where all its mass was folded back."""
+    return patch[node] == 0 and patch[node + 1] == 0 and patch[node + 2] == 0
 
 
 @device_function
@@ -166,11 +197,11 @@ def complete_wall_mass(patch, mirror):
     for a in range(3):
         for side in range(2):
             code = mirror[a, side]
-            if code == 0 or code & 3 == SEPARATE:
+            if code == 0 or not (code & 7 == STICK or code & 7 == SLIP):
                 continue
             across, first, second = _plane_strides(a)
             for q in strided_range(SIDE * SIDE):
-                node = (code >> 2) * across + q // SIDE * first + q % SIDE * second
+                node = (code >> 3) * across + q // SIDE * first + q % SIDE * second
                 patch[node + 3] = 2.0 * patch[node + 3]
             sync_threads()
 
@@ -184,19 +215,21 @@ def _along(a, value):
 
 @device_function
 def _record_mirror(patch, mirror, ghosts, fraction, s):
-    """Record the reactions beyond stick and slip walls, after all nodes are reflected."""
+    """Record the reactions beyond walls that reflect, after all nodes are reflected."""
     for a in range(3):
         for side in range(2):
             code = mirror[a, side]
-            if code == 0 or code & 3 == SEPARATE:
+            if code == 0 or code & 7 == SEPARATE:
                 continue
-            wall = code >> 2
+            wall = code >> 3
             step = 1 if side == 0 else -1
             across, first, second = _plane_strides(a)
             for q in strided_range(SIDE * SIDE):
                 i, j = q // SIDE, q % SIDE
                 node = i * first + j * second
                 inner, ghost = node + (wall + step) * across, node + (wall - step) * across
+                if code & 7 == YIELDING and not was_folded(ghosts, s, a, side, i, j):
+                    continue
                 x = patch[ghost] - patch[inner]
                 y = patch[ghost + 1] - patch[inner + 1]
                 z = patch[ghost + 2] - patch[inner + 2]
@@ -224,7 +257,7 @@ def apply_wall_conditions(nodes, first, low, cells, kinds, friction, reaction):
             for plane in range(4):
                 node = low[a] + plane
                 into = -node if side == 0 else node - cells[a]
-                if kind == 0 or kind == OPEN or into < 0 or (into > 0 and kind != SEPARATE):
+                if kind == 0 or kind == OPEN or into < 0 or (into > 0 and kind < SEPARATE):
                     continue
                 for q in strided_range(16):
                     index = plane * stride + q // 4 * stride_a + q % 4 * stride_b
@@ -238,6 +271,7 @@ def apply_wall_conditions(nodes, first, low, cells, kinds, friction, reaction):
                         push = -nodes[v + a] if side == 0 else nodes[v + a]
                         if push > 0:
                             nodes[v + a] = 0
+                            push *= FOLDED_PUSH if kind == YIELDING else 1.0
                             apply_coulomb_friction(nodes, v, friction[a, side] * push)
                     after = nodes[v], nodes[v + 1], nodes[v + 2], nodes[v + 3]
                     add_wall_reaction(reaction, a, side, side * cells[a], index, low, before, after)

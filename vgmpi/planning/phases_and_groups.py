@@ -122,6 +122,17 @@ class PhasePlan(NamedTuple):
     surface: bool = False  # contact uses surface descriptors of its bodies, not particles alone
     driven: bool = False  # its velocity is prescribed
     fills_by_volume: bool = False  # its liquids are shifted and differ in density
+    is_soft: bool = False  # its weight or its speed is too much for contact with walls
+
+    @property
+    def is_liquid(self) -> bool:
+        """True if it holds a liquid, perhaps with others; walls without a kind hold it."""
+        return "fluid" in self.families
+
+    @property
+    def meets_walls_by_contact(self) -> bool:
+        """True if separate walls push its surfaces by contact, as colliders do."""
+        return self.surface and not self.is_soft
 
 
 def stores_deformation(scene: Scene, entity: Object | Inlet) -> bool:

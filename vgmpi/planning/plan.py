@@ -40,6 +40,7 @@ from .prescribed_bodies import Extents, PrescribedBodyPlan, prescribed_body_plan
 from .proximity import Proximity
 from .region_groups import RegionPlan
 from .rigid_bodies import RigidBodiesSummary
+from .soft_bodies import with_soft_bodies
 from .surface_friction import SurfaceSlipPlan, friction_table, surface_slip_plan
 
 FLOAT_TYPES: dict[str, np.dtype] = {
@@ -77,7 +78,9 @@ class Plan:
     dx: float  # [m] cell size
     real: np.dtype  # floating-point type of the particles
     gravity: tuple[float, float, float]  # [m/s2]
-    walls: tuple[tuple[str, float], ...]  # (kind, friction): west, east, south, north, floor, roof
+    # (kind, friction) for liquids: west, east, south, north, floor, roof; for everything else
+    walls: tuple[tuple[str, float], ...]
+    walls_of_solids: tuple[tuple[str, float], ...]
     phases: tuple[PhasePlan, ...]
     groups: tuple[GroupPlan, ...]
     group_of: tuple[int, ...]  # group of each object, -1 for scenery; then of each inlet
@@ -121,6 +124,7 @@ class Plan:
     implicit_pressure: bool = False  # the grid finds the pressure of the scene's liquid
     joints: tuple[Joint, ...] = ()  # of the free rigid bodies
     rigid: RigidBodiesSummary | None = None  # these bodies at the start, if known
+    holding_walls: tuple[str, ...] = ()  # slip walls that also hold back the bodies on them
     regions: tuple[RegionPlan, ...] = ()  # parts of bodies of another material, if known
 
     @property
@@ -154,11 +158,11 @@ class Plan:
     @property
     def planes(self) -> tuple[ContactWall, ...]:
         """Walls that act by contact on bodies with surface descriptors."""
-        if not any(phase.surface for phase in self.phases):
+        if not any(phase.meets_walls_by_contact for phase in self.phases):
             return ()
         return tuple(
             ContactWall(k // 2, k % 2, k % 2 * self.cells[k // 2], friction)
-            for k, (kind, friction) in enumerate(self.walls)
+            for k, (kind, friction) in enumerate(self.walls_of_solids)
             if kind == "separate"
         )
 
@@ -268,13 +272,13 @@ def make_plan(
         scene, complete, group_of, phases, extents or {}
     )
     pins, groups = pinned_plans(groups, group_of, pinned)
+    phases = with_soft_bodies(scene, phases, groups, volume, center)
     groups, phases, sides = with_back_sides(scene, groups, phases)
     plan = Plan(
-        cells=scene.domain.cells, dx=scene.domain.cell, real=real,
-        gravity=scene.domain.gravity, walls=tuple(scene.domain.walls),
-        phases=phases, groups=groups, group_of=group_of,
+        cells=scene.domain.cells, dx=scene.domain.cell, real=real, gravity=scene.domain.gravity,
+        walls=tuple(scene.domain.walls), walls_of_solids=tuple(scene.walls_of_solids),
+        phases=phases, groups=groups, group_of=group_of, count=tuple(int(n) for n in count),
         first_id=tuple(int(n) for n in np.concatenate([[0], np.cumsum(count)[:-1]])),
-        count=tuple(int(n) for n in count),
         friction=friction_table(scene, groups, len(phases)),
         slip=surface_slip_plan(scene, groups, len(phases)), sides=sides,
         stiff=_wave_moduli(groups, len(phases)), contact=len(phases) > 1, collider=collider,

@@ -75,7 +75,7 @@ def _open_at_walls(scene: Scene, x: np.ndarray, surface: np.ndarray) -> None:
     dx, size = scene.domain.cell, scene.domain.size
     nearest = x - surface[:, 3:4] * surface[:, :3]
     ends = np.zeros(len(x), bool)  # those that see the end of the body at a wall
-    for k, (kind, _) in enumerate(scene.domain.walls):
+    for k, (kind, _) in enumerate(scene.walls_of_solids):
         axis, inward, position = k // 2, 1.0 - 2.0 * (k % 2), k % 2 * size[k // 2]
         if kind != "separate":
             on = np.abs(nearest[:, axis] - position) < WALL_DISTANCE_CELLS * dx

@@ -60,6 +60,14 @@ class Scene:
         )
 
     @property
+    def walls_of_solids(self) -> list[tuple[str, float]]:
+        """Return (kind, friction) of the six walls for everything that is not a liquid.
+
+        With FLIP, walls without a kind stay slip walls.
+        """
+        return self.domain.walls if self.accuracy.keeps else self.domain.walls_of_solids
+
+    @property
     def things(self) -> tuple[Object | Inlet, ...]:
         """Return objects, then inlets: all entities that particles can belong to."""
         return (*self.object, *self.inlet)

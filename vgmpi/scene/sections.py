@@ -22,10 +22,11 @@ def _wall(value: Any) -> Any:
 class Wall(StrictModel):
     """Effect of a wall on the material that touches it."""
 
-    kind: Literal["stick", "slip", "separate", "open"] = "slip"
-    """stick: no motion. slip: no motion through the wall. separate: material may also leave it.
-    open: particles leave freely; particles within a cell of it are removed, as in an outlet of the
-    wall's name"""
+    kind: Literal["stick", "slip", "separate", "open"] | None = None
+    """stick: no motion. slip: no motion through the wall, so that it also holds back what pulls
+    away from it. separate: material may also leave it. open: particles leave freely; particles
+    within a cell of it are removed, as in an outlet of the wall's name. None: slip for liquids,
+    separate for everything else"""
     friction: Annotated[float, Quantity("", ge=0)] = 0.0
     """Coulomb friction coefficient; used by separate walls only (slip walls are frictionless, stick
     walls allow no sliding)"""
@@ -104,8 +105,13 @@ class Domain(StrictModel):
 
     @property
     def walls(self) -> list[tuple[str, float]]:
-        """Return (kind, friction) of the west, east, south, north, bottom and top wall."""
-        return [(wall.kind, wall.friction) for wall in self._walls]
+        """Return (kind, friction) for liquids: west, east, south, north, bottom, top wall."""
+        return [(wall.kind or "slip", wall.friction) for wall in self._walls]
+
+    @property
+    def walls_of_solids(self) -> list[tuple[str, float]]:
+        """Return (kind, friction) of the walls for everything that is not a liquid."""
+        return [(wall.kind or "separate", wall.friction) for wall in self._walls]
 
     @property
     def _walls(self) -> list[Wall]:

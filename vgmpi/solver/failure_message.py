@@ -6,6 +6,7 @@ import numpy as np
 
 from vgmpi.kernels.step_limits import J_MAX, J_MIN
 from vgmpi.kernels.transfer import g2p
+from vgmpi.scene.sections import WALLS
 from vgmpi.solver.engines.engine_protocol import StepReport
 
 FAILURE_MESSAGES = {
@@ -35,7 +36,10 @@ def failure_message(simulation: Any, report: StepReport) -> str:
         worst, reason = rows[np.argmin(rows[:, 0])]
         # an empty object begins where the next one does: take the one that has particles
         owner = int(simulation.object_of(np.array([worst]))[0])
-        return f"object {{{owner}}}, particle {worst}, {when}: {FAILURE_MESSAGES[int(reason)]}"
+        message = FAILURE_MESSAGES[int(reason)]
+        if reason == g2p.OUT_OF_DOMAIN:
+            message = _way_out(simulation, worst) or message
+        return f"object {{{owner}}}, particle {worst}, {when}: {message}"
     fields = simulation.needs.layers
     local = [(*over.block, over.phase, fields.index(over.layer)) for over in report.beyond]
     rows = ranks.all_rows(np.array(local, np.int64).reshape(-1, 5))
@@ -48,3 +52,21 @@ def failure_message(simulation: Any, report: StepReport) -> str:
         f"phase '{plan.phases[phase].name}', near ({spot}) m, {when}: the {name} at a node"
         " is beyond what a sum can hold"
     )
+
+
+def _way_out(simulation: Any, particle: int) -> str:
+    """Return how a particle left the domain through a wall, or an empty text; on every rank."""
+    plan, local = simulation.plan, []
+    for group in simulation.groups:
+        index = group.index()
+        for x in group.positions_at(index[group.ids[index] == particle]):
+            beyond = np.stack([-x, x - np.array(plan.cells) * plan.dx], -1)
+            local.append(int(np.argmax(beyond)))
+    walls = simulation.ranks.all_rows(np.array(local, np.int64).reshape(-1, 1))
+    if not len(walls):
+        return ""
+    wall = int(walls[0, 0])
+    kind, _ = plan.walls_of_solids[wall]
+    if kind == "open":
+        return ""
+    return f"{FAILURE_MESSAGES[g2p.OUT_OF_DOMAIN]}: it sank through the {WALLS[wall]} wall"

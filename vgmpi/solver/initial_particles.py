@@ -20,6 +20,7 @@ from vgmpi.planning.prescribed_bodies import Extents
 from vgmpi.planning.proximity import Proximity
 from vgmpi.planning.region_groups import region_plans
 from vgmpi.planning.rigid_bodies import RigidBodiesSummary
+from vgmpi.preprocess.holding_walls import holding_walls
 from vgmpi.preprocess.liquid_weight import closed_box_tensions, liquid_weights
 from vgmpi.preprocess.load_targets import resolve_loads
 from vgmpi.preprocess.meshes import texture
@@ -49,6 +50,7 @@ class ParticleSummary:
     tensions: tuple[float, ...] = ()  # [Pa] see plan.Plan
     rigid: RigidBodiesSummary = RigidBodiesSummary()
     pinned: tuple[PinnedRegion, ...] = ()  # pinned parts of bodies
+    holding_walls: tuple[str, ...] = ()  # see plan.Plan
     # on rank 0: datasets to be written to gaussians.h5 by rest.write, None if the file holds them
     rows: dict | None = None
     scenery: dict | None = None
@@ -250,6 +252,7 @@ def _summary_of(scene, objects, particles, x, colliders, loads) -> ParticleSumma
         liquid_weights(scene, objects, x),
         closed_box_tensions(scene, objects, x, volume),
         measure_rigid_bodies(colliders, scene.domain.cell),
+        holding_walls=holding_walls(scene, objects, x),
     )
 
 
@@ -293,7 +296,7 @@ def plan_for(scene: Scene, summary: ParticleSummary) -> Plan:
         plan, thickness=summary.thickness, surroundings=summary.surroundings,
         volumes=tuple(summary.volume), weights=summary.weights, tensions=summary.tensions,
         motion_steps=tuple(steps.tolist()), rigid=summary.rigid,
-        regions=region_plans(plan, summary.objects),
+        regions=region_plans(plan, summary.objects), holding_walls=summary.holding_walls,
     )  # fmt: skip
 
 

@@ -66,13 +66,13 @@ def apply_contact(block, tables, solid, velocities, offsets, shear, solids, wall
             continue
         for q in range(active):
             nb = work.here[q]
-            offset = 256 * nb + 4 * node
-            project_tangential(offsets, offset, ijk[0], ijk[1], ijk[2], walls.cells, walls.kinds)
+            offset, ph = 256 * nb + 4 * node, tables.phase[nb]
+            kinds = walls.kinds if phases.liquid[ph] else walls.kinds_for_solids
+            project_tangential(offsets, offset, ijk[0], ijk[1], ijk[2], walls.cells, kinds)
             for c in range(3):
-                work.v[q, c] = velocities[offset + c]
-                work.change[q, c] = 0
+                work.v[q, c], work.change[q, c] = velocities[offset + c], 0.0
             work.mass[q] = work.effective_mass[q] = velocities[offset + 3]
-            if _driven(motions, tables.phase[nb]):
+            if _driven(motions, ph):
                 work.effective_mass[q] *= EFFECTIVE_MASS_FACTOR
             if shear is not None:
                 for c in range(3):
@@ -256,12 +256,12 @@ def _add_rigid_pairs(
     """Apply the contact of something rigid with the phases of a node, or store pairs.
 
     surface: (4,) its normal and distance [m]; friction: (phases,); a: GOES for a collider, or RESTS
-    for a wall, which meets only phases with resolved surfaces.
+    for a wall, which meets only phases whose surfaces it pushes.
     """
     for q in range(site.active):
         ph, mine = phase[work.here[q]], _side(offsets, work.here[q], site.node)
         is_resolved, mass, n = phases.surface[ph], work.mass[q], work.normals[pairs]
-        if not ((a == COLLIDER_ROW or is_resolved) and has_surface(mine, is_resolved)):
+        if not ((a == COLLIDER_ROW or phases.at_walls[ph]) and has_surface(mine, is_resolved)):
             continue
         if _driven(motions, ph) or (a == COLLIDER_ROW and _is_pinned(motions, work.here[q], site)):
             continue

@@ -25,6 +25,8 @@ class Phases(NamedTuple):
     friction: np.ndarray  # (phases + 1, phases) [-] Coulomb coefficients, last row: colliders
     stiff: np.ndarray  # (phases,) [Pa] wave modulus of its stiffest law at rest
     surface: np.ndarray  # (phases,) bool: the surfaces of its bodies are resolved
+    at_walls: np.ndarray  # (phases,) bool: separate walls push these surfaces by contact
+    liquid: np.ndarray  # (phases,) bool: it holds a liquid
 
 
 # The fields of Phases, and the thin walls next to the nodes of this rank: `side` (phases,), 1 or -1

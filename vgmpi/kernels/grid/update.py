@@ -111,7 +111,7 @@ def update(blocks, tables, summed, shear, stress, rules, walls, phases, solids, 
                     _add_stress_impulse_unshared(block, fields, pairs)
                 if has_impulses:
                     if block.at_wall and block.meets:
-                        _project_offsets(moments.nodes, block, walls)
+                        _project_offsets(moments.nodes, block, walls, phases, phase_of)
                     couple_block(block, fields, work, pairs, step.dt, step.dx)
         unite_sides(phases, block, tables.solid[b], phase_of, nodes, moments.nodes, step.dx)
         touches = block.meets and _may_touch(block, tables.solid[b], phase_of, solids, rules, step)
@@ -147,7 +147,9 @@ def _stop_at_walls(block, velocities, walls, phase, phases, solids, reaction):
     for nb in range(block.n0, block.n1 if block.at_wall else block.n0):
         if len(solids.ways.driven) > 0 and solids.ways.driven[phase[nb]]:
             continue  # the motion of this phase is prescribed
-        kinds = walls.kinds_for_surfaces if phases.surface[phase[nb]] else walls.kinds
+        kinds = walls.kinds if phases.liquid[phase[nb]] else walls.kinds_for_solids
+        if phases.at_walls[phase[nb]]:
+            kinds = walls.kinds_for_surfaces
         apply_wall_conditions(
             velocities, 256 * nb, low, walls.cells, kinds, walls.friction, reaction
         )
@@ -201,9 +203,15 @@ def _store_velocity_change(block, fields):
 
 @device_function
 def _store_velocity_before(block, fields, push):
-    """Store the velocities of a block before gravity's `push` and separate impulses."""
-    for c in range(256 * block.n0, 256 * block.n1, 16):
-        store(fields.change, c, load(fields.grid, c) - push)
+    """Store the velocities of a block before gravity's `push` and separate impulses.
+
+    Nodes without mass are at rest before and after.
+    """
+    for nb in range(block.n0, block.n1):
+        tiny = broadcast(fields.grid, NODE_MASS_FLOOR * fields.least[fields.phase[nb]])
+        for c in range(256 * nb, 256 * (nb + 1), 16):
+            row = load(fields.grid, c)
+            store(fields.change, c, select(fourth_of(row) > tiny, row - push, row))
 
 
 @device_function
@@ -242,12 +250,13 @@ def _add_stress_impulse_unshared(block, fields, rules):
 
 
 @device_function
-def _project_offsets(offsets, block, walls):
+def _project_offsets(offsets, block, walls, phases, phase_of):
     """Remove the component across walls from the offsets (256 node blocks,) of a block."""
     for nb in range(block.n0, block.n1):
+        kinds = walls.kinds if phases.liquid[phase_of[nb]] else walls.kinds_for_solids
         for node in strided_range(64):
             i, j, k = block.low_x + node // 16, block.low_y + node // 4 % 4, block.low_z + node % 4
-            project_tangential(offsets, 256 * nb + 4 * node, i, j, k, walls.cells, walls.kinds)
+            project_tangential(offsets, 256 * nb + 4 * node, i, j, k, walls.cells, kinds)
     sync_threads()
 
 

@@ -12,7 +12,7 @@ from vgmpi.kernels.simd.material_dispatch import load_state_vector, stress
 from vgmpi.kernels.simd.row_ops import broadcast, store_records
 from vgmpi.kernels.simd.vector16 import load
 
-from .field_protocol import MIRROR_VECTOR, accumulate, particle_contribution
+from .field_protocol import MIRROR_IMPULSE, accumulate, particle_contribution
 
 
 class CellPressure(NamedTuple):
@@ -24,7 +24,7 @@ class CellPressure(NamedTuple):
 
 def kind(plan) -> CellPressure:
     """Return the contribution of a group's particles."""
-    return CellPressure(*(plan.real.type(v) for v in (MIRROR_VECTOR, plan.dx)))
+    return CellPressure(*(plan.real.type(v) for v in (MIRROR_IMPULSE, plan.dx)))
 
 
 @particle_contribution.of(CellPressure)

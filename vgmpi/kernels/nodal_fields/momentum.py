@@ -17,7 +17,7 @@ from vgmpi.kernels.simd.static_dispatch import static_dispatch
 from vgmpi.kernels.simd.vector16 import load, store
 from vgmpi.kernels.stencil_sums import scatter, scatter_slopes
 
-from .field_protocol import MIRROR_VECTOR, accumulate, particle_contribution
+from .field_protocol import MIRROR_IMPULSE, accumulate, particle_contribution
 
 
 class Momentum(NamedTuple):
@@ -58,7 +58,7 @@ def contribution_kinds(
 ) -> tuple[Momentum | MomentumWithoutPressure, MomentumWithoutStress]:
     """Return the contributions of a group's particles with and without their stress."""
     real = plan.real.type
-    numbers = [real(v) for v in (MIRROR_VECTOR, plan.splines, group.density, plan.affine, plan.dx)]
+    numbers = [real(v) for v in (MIRROR_IMPULSE, plan.splines, group.density, plan.affine, plan.dx)]
     has_own_pressure = group.cell_dilatation or group.implicit_pressure
     kind = MomentumWithoutPressure if has_own_pressure else Momentum
     return kind(*numbers), MomentumWithoutStress(*numbers)

@@ -15,7 +15,7 @@ from vgmpi.kernels.simd.row_ops import broadcast, max_ignore_nan, store_records
 from vgmpi.kernels.simd.vector16 import load, store
 
 from . import momentum
-from .field_protocol import MIRROR_VECTOR, accumulate, particle_contribution
+from .field_protocol import MIRROR_IMPULSE, accumulate, particle_contribution
 
 
 class Impulses(NamedTuple):
@@ -34,7 +34,10 @@ def kind(plan, group) -> Impulses:
     real = plan.real.type
     counted, porosity = plan.rules is not None, group.channels.first("share")
     return Impulses(
-        *(real(v) for v in (MIRROR_VECTOR, plan.splines, counted, porosity, plan.dx, group.density))
+        *(
+            real(v)
+            for v in (MIRROR_IMPULSE, plan.splines, counted, porosity, plan.dx, group.density)
+        )
     )
 
 

@@ -25,7 +25,6 @@ from vgmpi.kernels.nodal_fields import (  # noqa: F401  (contributions)
     surface_velocity_gradient,
 )
 from vgmpi.kernels.nodal_fields.field_protocol import (
-    MIRROR_MOMENT,
     MIRROR_NONE,
     accumulate,
     particle_contribution,
@@ -87,5 +86,5 @@ def particles_to_grid(rows, kind, law, segments, particles, sums, scratch, dt, g
             particle_contribution(kind, law, n, offset, cap, f, extra, peak, records, dt)
             accumulate(kind, n, records, weights, base, patch)
         if kind.mirror != MIRROR_NONE:
-            fold_ghost_momentum(patch, mirror[s], kind.mirror == MIRROR_MOMENT, ghosts, s)
+            fold_ghost_momentum(patch, mirror[s], kind.mirror, ghosts, s)
         accumulate_patch(patch, totals, into[s], box)

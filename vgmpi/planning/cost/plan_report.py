@@ -82,7 +82,7 @@ def format_plan(
             rule = plan.rules.pair[a, b] if plan.rules else CONTACT
             how = f"friction {plan.friction[a][b]:g}" if rule == CONTACT else "they share space"
             lines.append(f"  {RULES[rule]:11s} {names}: {how}")
-    lines.append(_walls(plan))
+    lines += _walls(plan)
     lines += rigid_body_lines(scene, plan) + pinned_lines(plan) + _joints(scene)
     lines += _slip(scene) + _flows(plan)
     lines += _accuracy_notes(scene, plan)
@@ -96,15 +96,21 @@ def format_plan(
     return "\n".join(lines + _steps(scene, plan, ranks, reached, pace, rehearsal, is_known))
 
 
-def _walls(plan: Plan) -> str:
-    """Return the line about the walls of the domain."""
-    walls = (
-        wall
-        + (f" (friction {friction:g})" if friction else "")
-        + (f" until {time:g} s" if time is not None else "")
-        for (wall, friction), time in zip(plan.walls, plan.opens, strict=True)
-    )
-    return "  walls       " + ", ".join(walls)
+def _walls(plan: Plan) -> list[str]:
+    """Return the lines about the walls of the domain."""
+    is_liquid = [phase.is_liquid for phase in plan.phases]
+    walls = []
+    for k, (wall, friction) in enumerate(plan.walls_of_solids):
+        kind = plan.walls[k][0]
+        if kind != wall and any(is_liquid):
+            wall = kind if all(is_liquid) else f"{kind} for liquids and {wall} for the rest"
+        time = "" if plan.opens[k] is None else f" until {plan.opens[k]:g} s"
+        walls.append(wall + (f" (friction {friction:g})" if friction else "") + time)
+    return ["  walls       " + ", ".join(walls)] + [
+        f"  walls       {name} is slip: it also holds back bodies that pull away from it;"
+        " separate lets them go"
+        for name in plan.holding_walls
+    ]
 
 
 def _regions(scene: Scene, plan: Plan) -> list[str]:

@@ -40,7 +40,7 @@ from .group_context import (
 )
 from .kernel_caller import KernelCaller
 from .nodal_field_storage import NodalField, color_count, fields_of_couplings, nodal_fields
-from .plan_tables import phase_sets, phase_table, wall_table
+from .plan_tables import phase_sets, phase_table, wall_kinds_of, wall_table
 from .reaction_sums import ReactionAccumulators
 from .shift_tables import node_fill, with_colliders
 from .thread_partition import ThreadPartition, accumulator_copies
@@ -167,14 +167,14 @@ class Cpu(KernelCaller):
 
     def open(self, wall: int) -> None:
         """Remove a wall that has vanished."""
-        for kinds in (self.walls.kinds, self.walls.kinds_for_surfaces):
+        for kinds in self.walls[1:4]:
             kinds[divmod(wall, 2)] = KINDS["open"]
         for part in self.parts:
             part.segments.mirror[:] = self._mirror(part.group)
 
     def _mirror(self, group: ParticleGroup) -> np.ndarray:
         """Return the codes of the walls that a group's segments meet."""
-        kinds = self.walls.kinds_for_surfaces if group.plan.surface else self.walls.kinds
+        kinds = wall_kinds_of(self.walls, self.plan.phases[group.plan.phase])
         return patch_codes(group.block, self.plan.cells, kinds)
 
     # ---- a step ----------------------------------------------------------------------------------

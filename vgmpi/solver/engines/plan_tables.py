@@ -4,19 +4,32 @@ import numpy as np
 
 from vgmpi.kernels.grid.sided_phases import Phases
 from vgmpi.kernels.kernel_arguments import Walls
-from vgmpi.kernels.wall_boundary import KINDS
+from vgmpi.kernels.wall_boundary import KINDS, SEPARATE, YIELDING
 from vgmpi.parallel.block_lattice import BLOCK_EDGE
+from vgmpi.planning.phases_and_groups import PhasePlan
 from vgmpi.planning.plan import Plan
 
 
 def wall_table(plan: Plan) -> Walls:
-    """Return the kinds and friction of the six walls; contact walls have kind 0 for surfaces."""
-    kinds = np.array([KINDS[kind] for kind, _ in plan.walls], np.int64).reshape(3, 2)
+    """Return the kinds and friction of the six walls, for liquids and for everything else."""
+    kinds, for_solids = (
+        np.array([KINDS[kind] for kind, _ in walls], np.int64).reshape(3, 2)
+        for walls in (plan.walls, plan.walls_of_solids)
+    )
     friction = np.array([mu for _, mu in plan.walls]).reshape(3, 2)
-    contact_kinds = kinds.copy()
+    if plan.keeps is None:
+        for_solids[for_solids == SEPARATE] = YIELDING
+    for_surfaces = for_solids.copy()
     for plane in plan.planes:
-        contact_kinds[plane.axis, plane.side] = 0
-    return Walls(np.array(plan.cells), kinds, contact_kinds, friction)
+        for_surfaces[plane.axis, plane.side] = 0
+    return Walls(np.array(plan.cells), kinds, for_solids, for_surfaces, friction)
+
+
+def wall_kinds_of(walls: Walls, phase: PhasePlan) -> np.ndarray:
+    """Return the wall kinds of a phase, shape (3, 2)."""
+    if phase.meets_walls_by_contact:
+        return walls.kinds_for_surfaces
+    return walls.kinds if phase.is_liquid else walls.kinds_for_solids
 
 
 def phase_table(plan: Plan) -> Phases:
@@ -27,6 +40,8 @@ def phase_table(plan: Plan) -> Phases:
         np.array(plan.friction),
         np.array(plan.stiff),
         np.array([phase.surface for phase in plan.phases]),
+        np.array([phase.meets_walls_by_contact for phase in plan.phases]),
+        np.array([phase.is_liquid for phase in plan.phases]),
     )
 
 

@@ -15,7 +15,6 @@ from vgmpi.kernels import particle_records, stencil_sums
 from vgmpi.kernels.cell_stencil_sums import scatter_by_cells
 from vgmpi.kernels.nodal_fields.cell_pressure import CellPressure
 from vgmpi.kernels.nodal_fields.field_protocol import (
-    MIRROR_MOMENT,
     MIRROR_NONE,
     particle_contribution,
 )
@@ -77,7 +76,7 @@ def fill(rows, kind, law, segments, particles, sums, bias, phase, peaks, dt, alo
         if kind.mirror != MIRROR_NONE:
             now, point = cuda.local.array(3, np.int64), cuda.local.array(6, np.float64)
             own = own_ghosts(ghosts, now, point)
-            fold_ghost_momentum(patch, segments.mirror[s], kind.mirror == MIRROR_MOMENT, own, s)
+            fold_ghost_momentum(patch, segments.mirror[s], kind.mirror, own, s)
             meet()
         _push(patch, segments.accumulator_rows[s], sums, bias[phase])
 

@@ -31,7 +31,7 @@ from vgmpi.kernels.step_limits import CONTACT_MASS_FLOOR
 from vgmpi.materials.couplings.interaction import CONTACT
 from vgmpi.planning.plan import Plan
 
-from .dense_grid import Dense
+from .dense_grid import PUSHING, Dense
 from .reaction_impulses import ReactionSums
 from .sided_walls import ThinWalls
 
@@ -95,17 +95,16 @@ class Contact:
 
     def open(self, axis: int, side: int) -> None:
         """Remove a wall that has vanished."""
-        self.active_planes = tuple(
-            plane for plane in self.active_planes if (plane.axis, plane.side) != (axis, side)
-        )
+        planes = self.active_planes
+        self.active_planes = tuple(p for p in planes if (p.axis, p.side) != (axis, side))
         self._count_planes()
 
     def _count_planes(self) -> None:
         """Count the walls that only push at each node of their planes and a cell beyond."""
         self.planes[:] = 0
         for plane in self.active_planes:
-            across = np.moveaxis(self.planes, plane.axis, 0)
-            across[[plane.node + 1, plane.node + 2 * plane.side]] += 1
+            nodes = [plane.node + 1, plane.node + 2 * plane.side]
+            np.moveaxis(self.planes, plane.axis, 0)[nodes] += 1
 
     def along_walls(self, offset: np.ndarray) -> None:
         """Remove the offset across mirroring walls, which the mirror image cancels.
@@ -113,9 +112,10 @@ class Contact:
         Args:
             offset: Sums of offsets (in/out), shape (phases, ..., 3).
         """
-        for axis, kind, _, wall, _, _ in self.walls.wall_planes():
-            if kind != "separate":
-                np.moveaxis(offset, axis + 1, 0)[wall, ..., axis] = 0.0
+        for p in range(len(offset)):
+            for axis, kind, _, wall, _, _ in self.walls.wall_planes(p):
+                if kind not in PUSHING:
+                    np.moveaxis(offset[p], axis, 0)[wall, ..., axis] = 0.0
 
     def apply(
         self, v: np.ndarray, mass: np.ndarray, heavy: np.ndarray, offset: np.ndarray,
@@ -241,7 +241,7 @@ class Contact:
                     continue
                 if acts_on_fluid and self.pinned is not None and self.pinned[b, *node]:
                     continue  # colliders do not touch bodies next to pinned parts
-                if sides[b].is_present and (acts_on_fluid or sides[b].has_surface):
+                if sides[b].is_present and (acts_on_fluid or plan.phases[b].meets_walls_by_contact):
                     outward, depth = np.array(n), distance
                     if acts_on_fluid and self.thin is not None:
                         outward, depth = self.thin.face(b, node, outward, distance)

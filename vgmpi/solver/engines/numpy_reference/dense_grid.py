@@ -6,9 +6,13 @@ B-splines a particle touches the 27 nodes from its base node on.
 
 import numpy as np
 
+from vgmpi.kernels.wall_boundary import FOLDED_PUSH
 from vgmpi.parallel.block_lattice import BLOCK_EDGE
 from vgmpi.parallel.particle_group import ParticleGroup
+from vgmpi.planning.phases_and_groups import PhasePlan
 from vgmpi.planning.plan import Plan
+
+PUSHING = "separate", "yielding"  # kinds of walls that let go
 
 
 class Stencil:
@@ -74,6 +78,7 @@ class Dense:
     def __init__(self, plan: Plan):
         self.cells, self.dx = plan.cells, plan.dx
         self.walls, self.splines = plan.walls, plan.splines
+        self.walls_of_phases = [_walls_of(plan, phase) for phase in plan.phases]
         self.shape = tuple(n + 3 for n in plan.cells)
         # [m^3] Volume of the domain that belongs to each node; a wall halves it.
         part = [np.where((i == 0) | (i == n), 0.5, 1.0) for i, n in zip(self.nodes, self.cells,
@@ -151,15 +156,30 @@ class Dense:
 
     # ---- walls -----------------------------------------------------------------------------------
 
-    def wall_planes(self):
+    def open(self, wall: int) -> None:
+        """Remove a wall that has vanished."""
+        rows = [self.walls, *self.walls_of_phases]
+        self.walls, *self.walls_of_phases = (
+            tuple(("open", 0.0) if k == wall else old for k, old in enumerate(row)) for row in rows
+        )
+
+    def yields(self, phase: int) -> bool:
+        """Return whether a phase has walls that let it go (yielding_walls.py)."""
+        return any(kind == "yielding" for kind, _ in self.walls_of_phases[phase])
+
+    def wall_planes(self, phase: int | None = None):
         """Yield axis, kind, friction and three planes of each wall; open walls are left out.
 
         The planes are the indices of the wall's nodes, of the nodes inside and of the nodes beyond.
+
+        Args:
+            phase: Phase whose walls are meant; those of liquids if None.
         """
+        walls = self.walls if phase is None else self.walls_of_phases[phase]
         for axis in range(3):
             last = self.cells[axis] + 1
             for side, planes in enumerate(((1, 2, 0), (last, last - 1, last + 1))):
-                kind, friction = self.walls[2 * axis + side]
+                kind, friction = walls[2 * axis + side]
                 if kind != "open":
                     yield axis, kind, friction, *planes
 
@@ -170,7 +190,7 @@ class Dense:
         sign[axis] = -1.0
         return sign
 
-    def fold(self, vectors, numbers, kind=None, recorder=None) -> None:
+    def fold(self, vectors, numbers, kind=None, recorder=None, phase=None) -> None:
         """Add the sums beyond mirroring walls to the mirror image of their node.
 
         Args:
@@ -178,9 +198,10 @@ class Dense:
             numbers (in/out): Scalar field or None.
             kind: Kind of the mirror in place of the wall's.
             recorder: `WallRecorder` of the momentum, or None.
+            phase: See `wall_planes`.
         """
-        for axis, wall, _, plane, inside, beyond in self.wall_planes():
-            if wall == "separate":
+        for axis, wall, _, plane, inside, beyond in self.wall_planes(phase):
+            if wall in PUSHING:
                 continue
             if recorder is not None:
                 momentum_beyond = np.moveaxis(vectors, axis, 0)[beyond]
@@ -192,19 +213,19 @@ class Dense:
                     along = np.moveaxis(field, axis, 0)
                     along[inside] += along[beyond] * sign
                     along[beyond] = 0.0
-        for axis, wall, _, plane, _, beyond in self.wall_planes():
+        for axis, wall, _, plane, _, beyond in self.wall_planes(phase):
             if wall == "separate" and recorder is not None and numbers is not None:
                 recorder.record_mass(axis, plane, np.moveaxis(numbers, axis, 0)[beyond])
 
-    def constrain(self, v: np.ndarray, surface: bool = False, recorder=None) -> None:
+    def constrain(self, v: np.ndarray, phase: int | None = None, recorder=None) -> None:
         """Apply the velocity constraints of the walls.
 
         Args:
             v (in/out): Velocities, shape (..., 3) [m/s].
-            surface: Whether the phase meets walls that only push by contact.
+            phase: See `wall_planes`.
             recorder: `WallRecorder`, or None.
         """
-        for axis, kind, friction, wall, _, beyond in self.wall_planes():
+        for axis, kind, friction, wall, _, beyond in self.wall_planes(phase):
             along = np.moveaxis(v, axis, 0)
             before = along[[wall, beyond]]
             inward = 1.0 if wall == 1 else -1.0
@@ -212,37 +233,44 @@ class Dense:
                 along[wall] = 0.0
             elif kind == "slip":
                 along[wall, ..., axis] = 0.0
-            elif not surface:
+            else:
+                more = FOLDED_PUSH if kind == "yielding" else 1.0
                 for plane in (wall, beyond):
-                    _push_back(along[plane], axis, inward, friction)
+                    _push_back(along[plane], axis, inward, friction * more)
             if recorder is not None:
                 recorder.record_constraint(axis, wall, wall, along[wall] - before[0])
                 recorder.record_constraint(axis, wall, beyond, along[beyond] - before[1])
 
-    def mirror(self, v: np.ndarray, surface: bool = False, recorder=None) -> None:
+    def mirror(self, v: np.ndarray, phase: int | None = None, recorder=None) -> None:
         """Set the velocities beyond the walls as seen by the particles next to them.
 
         Args:
             v (in/out): Velocities, shape (..., 3) [m/s].
-            surface: Whether the phase meets walls that only push by contact.
+            phase: See `wall_planes`.
             recorder: `WallRecorder`, or None.
         """
-        for axis, kind, _, wall, inside, beyond in self.wall_planes():
+        for axis, kind, _, wall, inside, beyond in self.wall_planes(phase):
             along = np.moveaxis(v, axis, 0)
-            if kind != "separate":
+            if kind not in PUSHING:
                 along[beyond] = along[inside] * self.mirror_sign(kind, axis)
-            elif not surface:
+            else:
                 inward = 1.0 if wall == 1 else -1.0
                 lower = -inward * along[inside][..., axis]
                 upper = np.maximum(inward * along[beyond][..., axis], lower)
-                change = np.zeros_like(along[beyond])
-                change[..., axis] = inward * upper - along[beyond][..., axis]
-                along[beyond][..., axis] = inward * upper
+                new = along[beyond].copy()
+                new[..., axis] = inward * upper
+                change, image = new - along[beyond], along[inside] * self.mirror_sign(kind, axis)
+                empty = np.zeros(new.shape[:-1], bool)
+                if kind == "yielding":  # as where all mass was folded back
+                    empty = (along[beyond] == 0.0).all(-1)
+                along[beyond] = np.where(empty[..., None], image, new)
                 if recorder is not None:
-                    recorder.record_mirror(axis, wall, change)
-        for axis, kind, _, wall, inside, beyond in self.wall_planes():
-            if recorder is not None and kind != "separate":
-                along = np.moveaxis(v, axis, 0)
+                    recorder.record_mirror(axis, wall, np.where(empty[..., None], 0.0, change))
+        for axis, kind, _, wall, inside, beyond in self.wall_planes(phase):
+            along = np.moveaxis(v, axis, 0)
+            if recorder is not None and kind == "yielding":
+                recorder.record_folded(axis, wall, along[beyond] - along[inside])
+            elif recorder is not None and kind not in PUSHING:
                 recorder.record_mirror(axis, wall, along[beyond] - along[inside])
 
     def complete_wall_mass(self, mass: np.ndarray) -> np.ndarray:
@@ -264,6 +292,17 @@ class Dense:
                 along = np.moveaxis(field, axis, 0)
                 along[beyond] = along[inside]
         return field
+
+
+def _walls_of(plan: Plan, phase: PhasePlan) -> tuple[tuple[str, float], ...]:
+    """Return the walls of a phase, without those that push its surfaces by contact."""
+    if phase.is_liquid:
+        return plan.walls
+    pushing = "yielding" if plan.keeps is None else "separate"
+    kind = "open" if phase.meets_walls_by_contact else pushing
+    return tuple(
+        (kind if wall == "separate" else wall, friction) for wall, friction in plan.walls_of_solids
+    )
 
 
 def _push_back(u: np.ndarray, axis: int, inward: float, friction: float) -> None:

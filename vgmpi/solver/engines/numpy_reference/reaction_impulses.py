@@ -98,6 +98,28 @@ class WallRecorder:
         """
         self.sums.mass[self.phase, axis, wall] = mass.copy()
 
+    def add_mass(self, axis: int, wall: int, unfolded: np.ndarray, folded: np.ndarray) -> None:
+        """Add to the own mass of the nodes beyond a wall that lets go.
+
+        Args:
+            axis, wall: Axis and plane of the wall.
+            unfolded, folded: Masses that stay and that were folded back, shape (n, m, 1) [kg].
+        """
+        for key, mass in (
+            ((self.phase, axis, wall), unfolded),
+            ((self.phase, axis, -wall), folded),
+        ):
+            self.sums.mass[key] = self.sums.mass.get(key, 0.0) + mass
+
+    def record_folded(self, axis: int, wall: int, change: np.ndarray) -> None:
+        """Record the difference of velocity that folded-back mass gathers beyond a wall.
+
+        Args:
+            axis, wall, change: See `record_mirror`.
+        """
+        mass = self.sums.mass.get((self.phase, axis, -wall), 0.0)
+        self.sums.on_wall(axis, wall, self.share * mass * change)
+
     def record_constraint(self, axis: int, wall: int, plane: int, change: np.ndarray) -> None:
         """Record a velocity constraint.
 
@@ -117,5 +139,5 @@ class WallRecorder:
             axis, wall: Axis and plane of the wall.
             change: Difference from the velocity to which the momentum went, shape (n, m, 3) [m/s].
         """
-        mass = self.sums.mass[self.phase, axis, wall]
+        mass = self.sums.mass.get((self.phase, axis, wall), 0.0)
         self.sums.on_wall(axis, wall, self.share * mass * change)

@@ -14,9 +14,7 @@ from vgmpi.kernels.grid.mixture_coupling import MIN_POROSITY
 from vgmpi.kernels.rigid.moving_colliders import MovingColliders
 from vgmpi.kernels.rigid.prescribed_motion import PrescribedBodies
 from vgmpi.kernels.rigid.static_colliders import StaticColliders
-from vgmpi.kernels.step_limits import (
-    NODE_MASS_FLOOR,
-)
+from vgmpi.kernels.step_limits import NODE_MASS_FLOOR
 from vgmpi.kernels.transfer.auxiliary_gather import OVERFILL_RELAXATION_RATE
 from vgmpi.kernels.transfer.particle_shifting import ShiftConstants
 from vgmpi.materials.material import law_function
@@ -49,6 +47,7 @@ from .resolved_surfaces import resolved_surface
 from .sided_walls import ThinWalls
 from .spray_divergence import without_spray_divergence
 from .surface_nodes import SurfaceNodes
+from .yielding_walls import sums_of
 
 
 class Numpy(SurfaceNodes):
@@ -87,9 +86,7 @@ class Numpy(SurfaceNodes):
         self.remove_wall(wall)
         axis, side = divmod(wall, 2)
         kind, _ = self.dense.walls[wall]
-        self.dense.walls = tuple(
-            ("open", 0.0) if k == wall else old for k, old in enumerate(self.dense.walls)
-        )
+        self.dense.open(wall)
         if kind != "open":
             self.contact.open(axis, side)
 
@@ -107,7 +104,7 @@ class Numpy(SurfaceNodes):
         assert self.sums is not None
         return self.sums.take() + self.take_reactions()
 
-    def _record(self, p: int, share: float, mass: np.ndarray | None = None) -> WallRecorder | None:
+    def record(self, p: int, share: float, mass: np.ndarray | None = None) -> WallRecorder | None:
         """Return the recorder of wall reactions on a phase, None where not requested."""
         driven = self.plan.phases[p].driven  # prescribed motion has no reaction
         return None if self.sums is None or driven else WallRecorder(self.sums, p, share, mass)
@@ -154,16 +151,20 @@ class Numpy(SurfaceNodes):
         count = max(group.coefficients for group in self.plan.groups)
         self.hues = np.zeros((count, n, *shape, 4))
         self.begin_fields()
+        if self.sums is not None:
+            self.sums.mass.clear()
         self.stencils = [stencil_of(group, self.plan.dx) for group in self.groups]
         for g, group in enumerate(self.groups):
             if not group.plan.pinned:
                 self._contribute(group, self.stencils[g], self.split[g])
         for p in range(n):
-            self.dense.fold(self.momentum[p], self.mass[p], recorder=self._record(p, self.mirrors))
-            self.dense.fold(self.forces[p], None, recorder=self._record(p, 1.0))
-            self.dense.fold(None, self.counted[p])
-            self.dense.fold(self.shear[p], None)
-            self.dense.fold(self.offset[p], self.volume[p], kind="slip")
+            record, fold = self.record, self.dense.fold
+            if not self.dense.yields(p):
+                fold(self.momentum[p], self.mass[p], recorder=record(p, self.mirrors), phase=p)
+                fold(self.forces[p], None, recorder=record(p, 1.0), phase=p)
+            fold(None, self.counted[p], phase=p)
+            fold(self.shear[p], None, phase=p)
+            fold(self.offset[p], self.volume[p], kind="slip", phase=p)
 
     def _contribute(self, group: ParticleGroup, stencil: Stencil, split: np.ndarray) -> None:
         plan, dense, p = group.plan, self.dense, group.plan.phase
@@ -172,20 +173,22 @@ class Numpy(SurfaceNodes):
         m = plan.density * vol0[:, 0]
         J = np.broadcast_to(law_function(law, "volume_ratio")(law, state), m.shape)
         affine = m[:, None, None] * C.reshape(-1, 3, 3) if self.plan.affine else None
-        dense.sum(self.mass[p], stencil, m[:, None])
-        dense.sum(self.momentum[p], stencil, m[:, None] * v, affine)
+        into = sums_of(self, group, stencil)
+        dense.sum(into.mass, into.stencil, m[:, None])
+        dense.sum(into.momentum, into.stencil, m[:, None] * v, affine)
         if plan.driven:  # stress does not move prescribed bodies
             split = np.zeros(len(m), bool)
         tau = self.dt * vol0[:, :, None] * kirchhoff_stress(law, state, C) * (not plan.driven)
         if plan.stores_porosity:
             tau = np.where(split[:, None, None], tau / get_channel(group, "share")[:, :, None], tau)
         if plan.cell_dilatation:
-            tau = sum_cell_pressure(self.momentum[p], stencil, tau)
+            tau = sum_cell_pressure(into.pressure, into.stencil, tau)
         separate = split[:, None, None]
-        dense.sum_forces(self.momentum[p], stencil, np.where(separate, 0.0, tau))
+        dense.sum_forces(into.momentum, into.stencil, np.where(separate, 0.0, tau))
         if self.apart:
-            dense.sum_forces(self.forces[p], stencil, np.where(separate, tau, 0.0))
+            dense.sum_forces(into.forces, into.stencil, np.where(separate, tau, 0.0))
             dense.sum(self.counted[p], stencil, np.where(split, J * vol0[:, 0], 0.0)[:, None])
+        into.finish()
         if plan.surface:
             normal, distance, curve, certainty = resolved_surface(group, self.plan.dx)
             certainty = (m * certainty)[:, None]
@@ -224,8 +227,8 @@ class Numpy(SurfaceNodes):
             if self.thin is not None:
                 self.thin.place()
                 self.thin.average(self.v, self.mass[..., 0])
-            for p, phase in enumerate(plan.phases):
-                dense.mirror(self.v[p], phase.surface, self._record(p, self.mirrors))
+            for p in range(len(plan.phases)):
+                dense.mirror(self.v[p], p, self.record(p, self.mirrors))
             return
         v = np.where(some, summed + self.dt * self.gravity, 0.0)
         self._place_colliders()
@@ -249,8 +252,8 @@ class Numpy(SurfaceNodes):
             prescribe(v, heavy, self.driven.ways, dense.points(), plan.dx)
         slope = np.where(some, self.shear / np.where(some, mass[..., None], 1.0), 0.0)
         self.contact_count = self.contact.apply(v, mass, heavy, self.offset, volume, slope, self.dt)
-        for p, phase in enumerate(plan.phases):
-            dense.constrain(v[p], phase.surface, self._record(p, 1.0, mass[p]))
+        for p in range(len(v)):
+            dense.constrain(v[p], p, self.record(p, 1.0, mass[p]))
         if self.thin is not None:
             self.thin.part(v)
         if self.sharing is not None:
@@ -302,9 +305,9 @@ class Numpy(SurfaceNodes):
     def gather(self, step: int) -> StepReport:
         """Update velocities, gradients, states and positions; return what bounds the next step."""
         for fields, share in self._gathered_fields():
-            for p, phase in enumerate(self.plan.phases):
-                recorder = self._record(p, share) if share else None
-                self.dense.mirror(fields[p], phase.surface, recorder)
+            for p in range(len(self.plan.phases)):
+                recorder = self.record(p, share) if share else None
+                self.dense.mirror(fields[p], p, recorder)
         reports = [self._gather(*each, step) for each in zip(self.groups, self.stencils, self.split,
                                                              strict=True)]  # fmt: skip
         failed = [row for report in reports for row in report.wrong]

@@ -51,7 +51,7 @@ class SurfaceNodes(KernelCaller):
 
     def remove_wall(self, wall: int) -> None:
         """Remove a wall that has vanished."""
-        for kinds in (self.walls.kinds, self.walls.kinds_for_surfaces):
+        for kinds in self.walls[1:4]:
             kinds[divmod(wall, 2)] = KINDS["open"]
 
     def sum_reactions(self, rows: int, quanta: np.ndarray, rank: int) -> None:
