@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import scipy
 
 from vgmpi.gaussians.formats.validation import GaussianFileError
 from vgmpi.gaussians.render_models import render_model
@@ -14,7 +13,6 @@ from vgmpi.planning.color_exchange import color_sets
 from vgmpi.planning.particle_channels import SURFACE
 from vgmpi.planning.phases_and_groups import phases_with_surface, stores_deformation
 from vgmpi.preprocess.meshes.surface_mesh import MeshError
-from vgmpi.preprocess.sampling.voxels import Voxels
 from vgmpi.runtime import memory_budget
 from vgmpi.scene.inlets_outlets import Inlet
 from vgmpi.scene.objects import Object
@@ -29,6 +27,7 @@ from .body_regions import (
 )
 from .collider_sdf import Collider, ShapeCollider, with_free_body, with_motion, with_shell
 from .initial_conditions import apply_initial_conditions
+from .initial_overlaps import subtract_objects, warn_of_overlaps
 from .initial_velocity import initial_velocity
 from .load_targets import ResolvedLoad, resolve_loads
 from .motion_checks import (
@@ -110,6 +109,7 @@ class PreparedScene:
     )
     shade: np.ndarray | None = None  # (n,) factors of the light painted on sh; None if all are 1
     pinned: tuple[PinnedRegion, ...] = ()  # pinned parts of bodies
+    warnings: tuple[str, ...] = ()  # lines on objects that share space
 
 
 def build_scene(scene: Scene) -> PreparedScene:
@@ -121,41 +121,25 @@ def build_scene(scene: Scene) -> PreparedScene:
     """
     memory_estimate.require_memory_for_shapes(scene)
     inlet_particles.require_inlet_memory(scene)
-    pieces: list[BuiltObject] = []
     errors: list[tuple[tuple, str]] = []
+    built = [
+        _attempt(scene, k, lambda k=k: _build(scene, k), errors) for k in range(len(scene.object))
+    ]
     touched = phases_with_surface(scene)
-    for k, obj in enumerate(scene.object):
-        try:
-            piece = apply_initial_conditions(scene, obj, build_object(scene, k))
-            piece = sort_by_region(scene, obj, piece)
-            needed = obj.role == "body" and scene.phase_of(obj) in touched
-            collider = with_motion(piece.collider, obj.motion)
-            collider = with_free_body(collider, obj.free_body, scene.domain.cell)
-            collider = with_shell(collider, obj.thin, scene.domain.cell)
-            piece = replace(piece, collider=collider)
-            pieces.append(with_surface_descriptor(scene, piece, needed))
-            invalid = validate_collider_motion(scene, piece.collider) + validate_body_motion(
-                scene, obj, piece.cloud.x
-            )
-            invalid += validate_free_body(scene, piece.collider)
-            invalid += validate_region_particles(scene, obj, piece)
-            errors += [(("object", k, *key), message) for key, message in invalid]
-            if piece.summary:
-                log.info("'%s': %s", obj.name, _object_summary(scene, obj, piece))
-        except PlacementError as error:
-            errors.append((("object", k, error.key), str(error)))
-        except (GaussianFileError, MeshError) as error:
-            errors.append((("object", k, obj.source), str(error)))
-        except memory_budget.InsufficientMemoryError as error:
-            errors.append((memory_estimate.key(scene, k), f"object '{obj.name}': {error}"))
+    pieces = [
+        piece
+        and _attempt(scene, k, lambda k=k: _complete(scene, k, built, touched, errors), errors)
+        for k, piece in enumerate(built)
+    ]
     if errors:
         raise scene.error(errors)
+    pieces = [piece for piece in pieces if piece is not None]
     memory_estimate.require_particle_memory(
         scene,
         {k: len(piece.cloud) for k, piece in enumerate(pieces)},
         memory_estimate.BYTES_PER_PARTICLE_MERGED,
     )
-    _warn_of_overlaps(scene, pieces)
+    warnings = warn_of_overlaps(scene, pieces)
     warn_of_locking(scene)
     if scene.joint:
         warn_of_distant_joints(scene, [p.collider for p in pieces if p.collider is not None])
@@ -163,7 +147,67 @@ def build_scene(scene: Scene) -> PreparedScene:
     inlet_particles.validate_inlets_outlets(
         scene, pieces, [p.collider for p in pieces if p.collider is not None]
     )
-    return _join(scene, [*pieces, *inlet_particles.reserve_inlet_particles(scene)])
+    joined = _join(scene, [*pieces, *inlet_particles.reserve_inlet_particles(scene)])
+    return replace(joined, warnings=warnings)
+
+
+def _attempt(
+    scene: Scene, k: int, build: Callable[[], BuiltObject], errors: list[tuple[tuple, str]]
+) -> BuiltObject | None:
+    """Return what `build` makes of object k, or None after its error is noted.
+
+    Args:
+        scene: The scene.
+        k: Row of the object.
+        build: Function without arguments.
+        errors: Errors as (path, message) (in/out).
+    """
+    obj = scene.object[k]
+    try:
+        return build()
+    except PlacementError as error:
+        errors.append((("object", k, error.key), str(error)))
+    except (GaussianFileError, MeshError) as error:
+        errors.append((("object", k, obj.source), str(error)))
+    except memory_budget.InsufficientMemoryError as error:
+        errors.append((memory_estimate.key(scene, k), f"object '{obj.name}': {error}"))
+    return None
+
+
+def _build(scene: Scene, k: int) -> BuiltObject:
+    """Return object k by itself, with its collider."""
+    obj, piece = scene.object[k], build_object(scene, k)
+    collider = with_motion(piece.collider, obj.motion)
+    collider = with_free_body(collider, obj.free_body, scene.domain.cell)
+    return replace(piece, collider=with_shell(collider, obj.thin, scene.domain.cell))
+
+
+def _complete(
+    scene: Scene, k: int, built: list[BuiltObject | None], touched: frozenset[str],
+    errors: list[tuple[tuple, str]],
+) -> BuiltObject:  # fmt: skip
+    """Return object k with its initial state, after others are cut out of it.
+
+    Args:
+        scene: The scene.
+        k: Row of the object.
+        built: All objects by themselves.
+        touched: Phases of which contact knows the surface.
+        errors: Errors as (path, message) (in/out).
+    """
+    obj = scene.object[k]
+    piece = apply_initial_conditions(scene, obj, subtract_objects(scene, k, built))
+    piece = sort_by_region(scene, obj, piece)
+    needed = obj.role == "body" and scene.phase_of(obj) in touched
+    piece = with_surface_descriptor(scene, piece, needed)
+    invalid = validate_collider_motion(scene, piece.collider)
+    invalid += validate_body_motion(scene, obj, piece.cloud.x)
+    invalid += validate_free_body(scene, piece.collider)
+    invalid += validate_region_particles(scene, obj, piece)
+    errors += [(("object", k, *key), message) for key, message in invalid]
+    if piece.summary:
+        log.info("'%s': %s", obj.name, _object_summary(scene, obj, piece))
+    return piece
 
 
 def _object_summary(scene: Scene, obj: Object, piece: BuiltObject) -> str:
@@ -173,40 +217,6 @@ def _object_summary(scene: Scene, obj: Object, piece: BuiltObject) -> str:
     if piece.region_counts:
         mass = float(particle_masses(scene, obj, piece).sum())
     return f"{piece.summary}: {1e3 * volume:.3g} l, {mass:.3g} kg"
-
-
-def _warn_of_overlaps(scene: Scene, pieces: list[BuiltObject]) -> None:
-    """Warn of bodies that share space, since doubly occupied space is pushed apart violently."""
-    spacing = scene.domain.cell / 2
-    # Bodies with a volume fraction are meant to lie over each other.
-    bodies = [
-        k
-        for k, obj in enumerate(scene.object)
-        if obj.role == "body" and obj.volume_fraction == 1.0 and obj.volume_fraction_profile is None
-    ]
-    if not bodies:
-        return
-    voxels = Voxels.enclosing(
-        np.concatenate([pieces[k].cloud.x for k in bodies]), spacing, margin=0
-    )
-    voxels_of = [np.unique(voxels.index(pieces[k].cloud.x)) for k in bodies]
-    size = np.array([len(each) for each in voxels_of])
-    voxel = np.unique(np.concatenate(voxels_of), return_inverse=True)[1].ravel()
-    rows = np.repeat(np.arange(len(bodies)), size)
-    occupancy = scipy.sparse.csr_array((np.ones(len(rows), dtype=np.int64), (rows, voxel)))
-    shared = scipy.sparse.triu(
-        occupancy @ occupancy.T, k=1
-    ).tocsr()  # number of shared voxels of each pair that has any
-    shared.sort_indices()
-    first, second = shared.nonzero()
-    for a, b, count in zip(first, second, shared.data, strict=True):
-        if count > 0.02 * min(size[a], size[b]):
-            log.warning(
-                "'%s' and '%s' overlap by %.3g l: they will push each other apart",
-                scene.object[bodies[a]].name,
-                scene.object[bodies[b]].name,
-                1e3 * count * spacing**3,
-            )
 
 
 def _join(scene: Scene, pieces: list[BuiltObject]) -> PreparedScene:

@@ -31,12 +31,13 @@ from .rigid_objects import as_collider, validate_particles, validate_rigid_scene
 from .scene import Scene, miscible_materials, phase_of
 from .sections import MAX_CELLS, SECTIONS, Appearance, Domain, Output, TopLevelKeys
 from .slip_lengths import validate_slip_lengths
+from .subtraction import validate_subtractions
 from .thin_walls import validate_thin_scene
 
 REQUIRED = ("domain", "time", "material", "object")
 SCENE_RULES = (
     validate_rigid_scene, validate_slip_lengths, validate_region_kinds, validate_pinned_parts,
-    validate_thin_scene,
+    validate_thin_scene, validate_subtractions,
 )  # fmt: skip
 LISTS = ("object", "coupling", "joint", "load", "probe", "inlet", "outlet")
 
@@ -94,7 +95,7 @@ class SceneLoader:
         for inner, message in validate_gravity(data.get("domain", {})):
             self.report(("domain", *inner), message)
         fluid = any(m is None or m.family == "fluid" for m in kinds.values())
-        size = tables["domain"].size if tables.get("domain") else None
+        size = (domain := tables.get("domain")) and domain.size
         loads = self.table_list(
             data.get("load", []), "load", Load, lambda raw, load: validate_load(raw, load, role)
         )
@@ -106,7 +107,6 @@ class SceneLoader:
         outlets = self.table_list(
             data.get("outlet", []), "outlet", Outlet, lambda raw, _: validate_outlet(raw, inlets)
         )
-        domain = tables.get("domain")
         flows = bool(inlets or outlets or (domain and domain.open_walls))
         self.errors += validate_balance(probes, flows, objects)
         if domain:

@@ -37,7 +37,7 @@ def may_change() -> dict[str, str]:
 PARTICLE_KEYS = frozenset(
     "region gaussians mesh shape select render_model up height width depth scale rotation position"
     " origin velocity angular_velocity velocity_mode volume_fraction volume_fraction_profile"
-    " initial_pressure particles_per_cell fill prune prune_scale passive_gaussians color"
+    " initial_pressure subtract particles_per_cell fill prune prune_scale passive_gaussians color"
     " opacity pinned".split()
 )
 

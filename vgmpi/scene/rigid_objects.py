@@ -20,6 +20,7 @@ KEYS_OF_PARTICLES = (
     "volume_fraction",
     "volume_fraction_profile",
     "initial_pressure",
+    "subtract",
     "passive_gaussians",
     "track_deformation",
     "prune",

@@ -227,7 +227,8 @@ def _command(args: argparse.Namespace, ranks: SerialCommunicator) -> int:
         objects, x = particles.objects, particles.x
         tensions = closed_box_tensions(scene, objects, x, particles.vol0)
         lines = soft_liquid_lines(scene, liquid_weights(scene, objects, x), tensions)
-        print("\n".join([*lines, f"{args.scene}: nothing {'else ' * bool(lines)}is wrong with it"]))
+        other = "else " * bool(lines or particles.warnings)
+        print("\n".join([*lines, f"{args.scene}: nothing {other}is wrong with it"]))
         return 0
     refusal = _slurm_mismatch(ranks)
     refusal = refusal or (_engine_refusal(args, scene) if args.plan else _folder_problem(folder))
