@@ -112,8 +112,8 @@ def _inside_colliders(scene: Scene, pieces: list[BuiltObject]) -> list[str]:
             if solid is None:
                 continue
             depth = _depths(solid, pieces[k].cloud.x)
-            least = MIN_DEPTH_CELLS if solid.shell is None else MIN_DEPTH_THIN_CELLS
-            if depth.max(initial=0.0) > least * scene.domain.cell:
+            min_depth = MIN_DEPTH_CELLS if solid.shell is None else MIN_DEPTH_THIN_CELLS
+            if depth.max(initial=0.0) > min_depth * scene.domain.cell:
                 overlaps.append((other.name, _amount(pieces[k], depth > 0.0)))
         remedy = _remedy(scene, obj, [name for name, _ in overlaps])
         stays = "where it stays" if _flows(scene, obj) else "which pushes it out"
@@ -179,22 +179,23 @@ def _shared_by_bodies(scene: Scene, pieces: list[BuiltObject]) -> list[str]:
 
 def _is_cut_out(scene: Scene, a: int, b: int) -> bool:
     """Return whether one of two objects is cut out of the other: they share voxels, no space."""
-    one, other = scene.object[a], scene.object[b]
+    first, second = scene.object[a], scene.object[b]
     every = scene.object, scene.material
-    return other.name in subtracted_names(one, *every) or one.name in subtracted_names(
-        other, *every
+    return any(
+        solid.name in subtracted_names(body, *every)
+        for body, solid in ((first, second), (second, first))
     )
 
 
 def _shared_line(scene: Scene, a: int, b: int, volume: float) -> str:
     """Return the line on two bodies that share a volume [m3]."""
-    one, other = scene.object[a], scene.object[b]
+    first, second = scene.object[a], scene.object[b]
     remedy = ""
-    for body, solid in ((one, other), (other, one)):
+    for body, solid in ((first, second), (second, first)):
         if _flows(scene, body) and is_subtractable(solid, scene.material):
             remedy = _remedy(scene, body, [solid.name])
     return (
-        f"'{one.name}' and '{other.name}' overlap by {1e3 * volume:.3g} l: they will push each"
+        f"'{first.name}' and '{second.name}' overlap by {1e3 * volume:.3g} l: they will push each"
         f" other apart{remedy}"
     )
 
