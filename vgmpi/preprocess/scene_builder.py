@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -123,17 +124,16 @@ def build_scene(scene: Scene) -> PreparedScene:
     inlet_particles.require_inlet_memory(scene)
     errors: list[tuple[tuple, str]] = []
     built = [
-        _attempt(scene, k, lambda k=k: _build(scene, k), errors) for k in range(len(scene.object))
+        _attempt(scene, k, partial(_build, scene, k), errors) for k in range(len(scene.object))
     ]
     touched = phases_with_surface(scene)
-    pieces = [
-        piece
-        and _attempt(scene, k, lambda k=k: _complete(scene, k, built, touched, errors), errors)
+    completed = [
+        piece and _attempt(scene, k, partial(_complete, scene, k, built, touched, errors), errors)
         for k, piece in enumerate(built)
     ]
     if errors:
         raise scene.error(errors)
-    pieces = [piece for piece in pieces if piece is not None]
+    pieces = [piece for piece in completed if piece is not None]
     memory_estimate.require_particle_memory(
         scene,
         {k: len(piece.cloud) for k, piece in enumerate(pieces)},
