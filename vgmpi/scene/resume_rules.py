@@ -36,9 +36,9 @@ def may_change() -> dict[str, str]:
 # Keys of bodies that only make the particles of the start, which a resumed run has already.
 PARTICLE_KEYS = frozenset(
     "region gaussians mesh shape frame select render_model up height width depth scale rotation"
-    " position origin velocity angular_velocity velocity_mode volume_fraction volume_fraction_profile"
-    " initial_pressure subtract particles_per_cell fill prune prune_scale passive_gaussians color"
-    " opacity pinned".split()
+    " position origin velocity angular_velocity velocity_mode volume_fraction"
+    " volume_fraction_profile initial_pressure subtract particles_per_cell fill prune prune_scale"
+    " passive_gaussians color opacity pinned".split()
 )
 
 
