@@ -6,6 +6,7 @@ import pytest
 from tests.support.engine_pair import of_scene, worst
 from tests.support.simulate import advance, begin, by_id
 from tests.support.small_scenes import scene
+from vgmpi.apps.run.cli import main
 from vgmpi.kernels.transfer.g2p import OUT_OF_DOMAIN
 from vgmpi.planning.cost.plan_report import format_plan
 from vgmpi.preprocess.scene_builder import build_scene
@@ -102,11 +103,15 @@ def test_engines_agree_on_walls_that_let_go(tmp_path, low, speed, material, tran
     assert max(found.values()) < 1e-12, found
 
 
-def test_the_plan_names_slip_walls_that_hold(tmp_path):
+def test_check_and_plan_name_slip_walls_that_hold(tmp_path, capsys):
     loaded, plan = plan_of(tmp_path, text_of(body("jelly"), '"slip"'))
     line = "bottom is slip: it also holds back bodies that pull away from it; separate lets them go"
     assert line in format_plan(loaded, plan, 1)
+    assert main([str(tmp_path / "scene.toml"), "--check"]) == 0
+    assert f"wall {line}" in capsys.readouterr().out
     loaded, plan = plan_of(tmp_path, text_of(body("jelly")))
+    assert main([str(tmp_path / "scene.toml"), "--check"]) == 0
+    assert "holds back" not in capsys.readouterr().out
     report = format_plan(loaded, plan, 1)
     assert "also holds back" not in report
     assert "  walls       separate, separate" in report

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from vgmpi.io import checkpoint, file_layout, hdf5_writer, run_lock, run_reader
 from vgmpi.parallel.communicator import SerialCommunicator, init_communicator
-from vgmpi.planning.cost.plan_report import format_plan
+from vgmpi.planning.cost.plan_report import format_plan, holding_wall_line
 from vgmpi.planning.plan import FLOAT_TYPES
 from vgmpi.runtime import memory_budget
 from vgmpi.runtime.config.schema import SceneError
@@ -219,6 +219,7 @@ def _command(args: argparse.Namespace, ranks: SerialCommunicator) -> int:
     folder = args.output or scene.folder / scene.output.folder
     if args.check:
         from vgmpi.planning.cost.timestep_advice import soft_liquid_lines
+        from vgmpi.preprocess.holding_walls import holding_walls
         from vgmpi.preprocess.liquid_weight import closed_box_tensions, liquid_weights
         from vgmpi.preprocess.scene_builder import build_scene
 
@@ -227,6 +228,7 @@ def _command(args: argparse.Namespace, ranks: SerialCommunicator) -> int:
         objects, x = particles.objects, particles.x
         tensions = closed_box_tensions(scene, objects, x, particles.vol0)
         lines = soft_liquid_lines(scene, liquid_weights(scene, objects, x), tensions)
+        lines += [f"wall {holding_wall_line(name)}" for name in holding_walls(scene, objects, x)]
         other = "else " * bool(lines or particles.warnings)
         print("\n".join([*lines, f"{args.scene}: nothing {other}is wrong with it"]))
         return 0

@@ -106,11 +106,15 @@ def _walls(plan: Plan) -> list[str]:
             wall = kind if all(is_liquid) else f"{kind} for liquids and {wall} for the rest"
         time = "" if plan.opens[k] is None else f" until {plan.opens[k]:g} s"
         walls.append(wall + (f" (friction {friction:g})" if friction else "") + time)
-    return ["  walls       " + ", ".join(walls)] + [
-        f"  walls       {name} is slip: it also holds back bodies that pull away from it;"
-        " separate lets them go"
-        for name in plan.holding_walls
-    ]
+    holding = [f"  walls       {holding_wall_line(name)}" for name in plan.holding_walls]
+    return ["  walls       " + ", ".join(walls), *holding]
+
+
+def holding_wall_line(name: str) -> str:
+    """Return a line about a slip wall that bodies of solids or grains touch at the start."""
+    return (
+        f"{name} is slip: it also holds back bodies that pull away from it; separate lets them go"
+    )
 
 
 def _regions(scene: Scene, plan: Plan) -> list[str]:
