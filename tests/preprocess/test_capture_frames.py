@@ -177,4 +177,5 @@ def test_inspect_tells_format_frame_and_doubts(tmp_path):
     registry.write(tmp_path / "cone.spz", cone(50), 4)
     lines = inspect_file.describe_file(tmp_path / "cone.spz").splitlines()
     assert lines[1] == "  format   .spz, version 4"
-    assert lines[-1] == "  note     frame RDF: said by the file's record"
+    assert lines[2] == "  axes     RDF: said by the file's record"
+    assert lines[3] == "  training not antialiased is assumed: the file does not say"

@@ -1,5 +1,6 @@
 """--inspect tells what a file of Gaussians holds, whatever its format, and names what it cannot."""
 
+import numpy as np
 import pytest
 
 from tests.gaussians.test_sog import cloud
@@ -17,6 +18,39 @@ def test_gaussians_are_counted(tmp_path, suffix):
     registry.write(path, cloud(n=300))
     assert inspect_file.is_inspectable(path)
     assert inspect_file.describe_file(path).startswith(f"{path}: 300 Gaussians")
+
+
+@pytest.mark.parametrize("suffix", registry.WRITTEN)
+def test_axes_and_training_are_told_of_every_format(tmp_path, suffix):
+    """Also where the file does not say, and what is assumed then."""
+    if suffix == registry.COMPRESSED:
+        pytest.importorskip("gsply", reason="needs gsply: pip install 'vgmpi[test]'")
+    path = tmp_path / f"a{suffix}"
+    registry.write(path, cloud(n=300, is_antialiased=True))
+    lines = inspect_file.describe_file(path).splitlines()
+    assert max(map(len, lines)) < 100 + len(str(path))
+    axes = {
+        registry.SPZ: "RDF: said by the file's record",
+        registry.GLTF: "LUF: the axes of glTF, turned to RDF",
+    }
+    unknown = "RDF (x right, y down, z forward) is assumed: the file does not say"
+    assert lines[2] == f"  axes     {axes.get(suffix, unknown)}"
+    unmarked = suffix in (".splat", registry.GLTF)
+    said = "not antialiased is assumed: the file does not say" if unmarked else "antialiased: "
+    assert lines[3].startswith(f"  training {said}")
+    (extent,) = (line for line in lines if line.startswith("  extent   x "))
+    assert extent.endswith(", in the units of the file")
+    (sizes,) = (line for line in lines if line.startswith("  sizes    longest axis "))
+    c = registry.read(path)
+    assert f"longest axis {np.median(c.scale.max(axis=1)):.3g}, shortest" in sizes
+
+
+def test_doubts_are_told_apart_from_notes(tmp_path):
+    meta, members, _ = made.sog_members()
+    path = tmp_path / "a.sog"
+    path.write_bytes(made.sog(meta | {"model": "2dgs"}, members))
+    text = inspect_file.describe_file(path)
+    assert "\n  doubt    " in text and "\n  note     " not in text
 
 
 def test_a_ksplat_is_counted(tmp_path):

@@ -3,6 +3,7 @@
 import logging
 from pathlib import Path
 
+from .capture_record import CaptureRecord
 from .cloud import GaussianCloud
 
 log = logging.getLogger("vgmpi")
@@ -20,9 +21,13 @@ def capture_notes(cloud: GaussianCloud) -> list[str]:
     if record.render_model_source:
         model = "antialiased" if cloud.is_antialiased else "not antialiased"
         notes.append(f"{model}: {record.render_model_source}")
-    if record.has_filter_3d:
-        notes.append("sizes and opacities contain the 3D filter of the file")
-    return [*notes, *record.doubts, *record.omissions]
+    return [*notes, *record.doubts, *capture_extras(record)]
+
+
+def capture_extras(record: CaptureRecord) -> list[str]:
+    """Return a clause on the 3D filter of a file, if it has one, and one for each omission."""
+    filtered = ["sizes and opacities contain the 3D filter of the file"]
+    return [*(filtered if record.has_filter_3d else []), *record.omissions]
 
 
 def log_capture_notes(name: str | Path, cloud: GaussianCloud) -> None:

@@ -5,8 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from vgmpi.gaussians.capture_notes import capture_notes
+from vgmpi.gaussians.capture_notes import capture_extras
+from vgmpi.gaussians.capture_record import CaptureRecord
 from vgmpi.gaussians.cloud import GaussianCloud
+from vgmpi.gaussians.coordinate_frames import PLY_FRAME
 from vgmpi.gaussians.formats import registry
 from vgmpi.gaussians.formats.registry import GaussianFileError
 from vgmpi.preprocess.floaters import find_floaters
@@ -53,22 +55,39 @@ def _gaussians(path: Path) -> str:
     degree = math.isqrt(cloud.sh.shape[1]) - 1
     low, middle, high = np.percentile(cloud.opacity, [5, 50, 95])
     scale = np.sort(cloud.scale, axis=1)
-    encoding = [f"  format   {cloud.record.encoding}"] if cloud.record else []
-    notes = [f"  note     {text}" for text in capture_notes(cloud)]
-    comments = [f"  comment  {text}" for text in cloud.record.comments] if cloud.record else []
+    record = cloud.record or CaptureRecord(path.suffix.lower())
     return "\n".join(
         [
             f"{path}: {len(cloud):,} Gaussians, colors of degree {degree}",
-            *encoding,
-            f"  reaches  {_reach(cloud.x)}",
-            f"  scale    {_middle(scale[:, 2])} along, {_middle(scale[:, 0])} across (medians)",
-            f"  opacity  {middle:.2f} ({low:.2f} to {high:.2f} of nine in ten)",
+            f"  format   {record.encoding}",
+            f"  axes     {_axes(record)}",
+            f"  training {_training(record, cloud.is_antialiased)}",
+            f"  extent   {_reach(cloud.x)}, in the units of the file",
+            f"  sizes    longest axis {_middle(scale[:, 2])}, shortest {_middle(scale[:, 0])}"
+            " (medians of the standard deviations)",
+            f"  opacity  {middle:.2f} (median), {low:.2f} to {high:.2f} for nine in ten",
             *_label_lines(cloud.labels),
             *_floaters(cloud),
-            *notes,
-            *comments,
+            *(f"  note     {text}" for text in capture_extras(record)),
+            *(f"  doubt    {text}" for text in record.doubts),
+            *(f"  comment  {text}" for text in record.comments),
         ]
     )
+
+
+def _axes(record: CaptureRecord) -> str:
+    """Return the frame of the file and why it was taken."""
+    if record.frame:
+        return f"{record.frame}: {record.frame_source}"
+    return f"{PLY_FRAME} (x right, y down, z forward) is assumed: the file does not say"
+
+
+def _training(record: CaptureRecord, is_antialiased: bool) -> str:
+    """Return the render model of the file and why it was taken."""
+    if record.render_model_source:
+        model = "antialiased" if is_antialiased else "not antialiased"
+        return f"{model}: {record.render_model_source}"
+    return "not antialiased is assumed: the file does not say"
 
 
 def _label_lines(labels: dict[str, np.ndarray]) -> list[str]:
@@ -104,7 +123,7 @@ def _mesh(path: Path) -> str:
         [
             f"{path}: a mesh of {len(surface.triangles):,} triangles,"
             f" {len(surface.points):,} points",
-            f"  reaches  {_reach(surface.points)}",
+            f"  extent   {_reach(surface.points)}, in the units of the file",
             f"  surface  {describe_surface(topology)}",
             f"  shells   {describe_shells(topology)}",
             f"  colors   {_mesh_colors(surface)}",
