@@ -53,6 +53,28 @@ def test_doubts_are_told_apart_from_notes(tmp_path):
     assert "\n  doubt    " in text and "\n  note     " not in text
 
 
+def test_view_dependent_colors_that_are_all_zero_are_told(tmp_path):
+    """gsplat.js writes such files."""
+    shiny = cloud(n=3)
+    registry.write(tmp_path / "a.ply", shiny)
+    assert "are zero" not in inspect_file.describe_file(tmp_path / "a.ply")
+    shiny.sh[:, 1:] = 0
+    registry.write(tmp_path / "a.ply", shiny)
+    lines = inspect_file.describe_file(tmp_path / "a.ply").splitlines()
+    assert "  note     all colors above degree 0 are zero" in lines
+    registry.write(tmp_path / "b.ply", cloud(n=3, terms=1))
+    assert "are zero" not in inspect_file.describe_file(tmp_path / "b.ply")
+
+
+@pytest.mark.parametrize("name", ["meta.json", "lod-meta.json"])
+def test_an_unbundled_sog_is_named(tmp_path, name):
+    (tmp_path / name).write_text("{}")
+    assert inspect_file.is_inspectable(tmp_path / name)
+    with pytest.raises(registry.GaussianFileError, match=r"an unbundled SOG .*convert it to \.ply"):
+        inspect_file.describe_file(tmp_path / name)
+    assert not inspect_file.is_inspectable(tmp_path / "checkpoint_000000200.json")
+
+
 def test_a_ksplat_is_counted(tmp_path):
     path = tmp_path / "a.KSPLAT"
     path.write_bytes(bad.KSPLAT_GOOD)

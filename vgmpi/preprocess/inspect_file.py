@@ -21,6 +21,7 @@ from vgmpi.preprocess.meshes.mesh_topology import (
 from vgmpi.preprocess.meshes.surface_mesh import MeshError
 from vgmpi.preprocess.meshes.triangle_mesh import Mesh
 
+_UNBUNDLED = ("meta.json", "lod-meta.json")  # headers of folders of PlayCanvas
 _VALUES_TOLD = 8  # values of a column of labels
 
 
@@ -28,7 +29,7 @@ def is_inspectable(path: Path) -> bool:
     """Return whether the file's name is that of such a file."""
     suffix = path.suffix.lower()
     if suffix == ".json":  # runs have such files, too
-        return False
+        return path.name.lower() in _UNBUNDLED
     return suffix in (*registry.KINDS, *registry.UNREADABLE, *surface_mesh.FORMATS)
 
 
@@ -68,11 +69,17 @@ def _gaussians(path: Path) -> str:
             f"  opacity  {middle:.2f} (median), {low:.2f} to {high:.2f} for nine in ten",
             *_label_lines(cloud.labels),
             *_floaters(cloud),
-            *(f"  note     {text}" for text in capture_extras(record)),
+            *(f"  note     {text}" for text in _empty_degrees(cloud) + capture_extras(record)),
             *(f"  doubt    {text}" for text in record.doubts),
             *(f"  comment  {text}" for text in record.comments),
         ]
     )
+
+
+def _empty_degrees(cloud: GaussianCloud) -> list[str]:
+    """Return a clause if the file has room for view-dependent colors, and none: writers do that."""
+    has_room = cloud.sh.shape[1] > 1
+    return ["all colors above degree 0 are zero"] if has_room and not cloud.sh[:, 1:].any() else []
 
 
 def _axes(record: CaptureRecord) -> str:
