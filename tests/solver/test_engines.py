@@ -75,6 +75,20 @@ SWEEPING = (
     'rotation = { axis = "z", angle = "20 deg" }\n'
     'motion = { keyframes = [{ time = "20 ms", angle = "30 deg", translation = [0.02, 0, 0] }] }\n'
 )
+PUSHED_BED = body(
+    "bed", "sand", "box = [[0.04, 0, 0], [0.16, 0.16, 0.04]]", "velocity = [0.3, -0.4, -1]"
+)
+PUSHED_POOL = PUSHED_BED.replace("sand", "water")
+PLATE = (
+    '[[object]]\nname = "plate"\nrole = "scenery"\ncollider = true\n'
+    "shape = { box = [[-0.01, -0.05, -0.05], [0.036, 0.21, 0.1]] }\n"
+    'rotation = { axis = "z", angle = "7 deg" }\n'
+    'motion = { velocity = [2, 0.1, 0], end_time = "20 ms" }\n'
+)
+DRIVEN_PLATE = body(
+    "plate", "toy", "box = [[0.01, 0, 0], [0.04, 0.16, 0.08]]",
+    'motion = { velocity = [2, 0, 0], end_time = "5 ms" }',
+)  # fmt: skip
 SLABS = body(  # whose faces are wide enough to be sure of
     "lower", "toy", "box = [[0.02, 0.02, 0], [0.18, 0.14, 0.06]]", "velocity = [0, 0, -0.5]"
 ) + body(
@@ -143,6 +157,9 @@ SCENES = {kind: (of_law(kind), "mixed", "") for kind in LAWS} | {
     "contact of faces": (TOY + SLABS, "separate", ""),
     "collider": (WATER + TOY + POOL + CUBE + POST, "mixed", ""),
     "colliders that move": (WATER + TOY + POOL + CUBE + POST + TURNING + SWEEPING, "mixed", ""),
+    "pushed along walls": (SAND + PUSHED_BED + PLATE, "separate", ""),
+    "pushed along a floor without slip": (WATER + PUSHED_POOL + PLATE, "mixed", ""),
+    "pushed by a driven body": (SAND + TOY + PUSHED_BED + DRIVEN_PLATE, "separate", ""),
     "mixing": (WATER + OIL + WET + OILY + MIX, "mixed", ""),
     "mixing with slip": (
         WATER + OIL.replace("800", "50").replace("1e4", "1e3") + WET + OILY + MIX, "mixed", "",

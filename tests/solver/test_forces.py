@@ -66,6 +66,9 @@ friction = 0.4
 shape = { box = [[0.02, 0.03, 0.04], [0.06, 0.12, 0.1]] }
 motion = { velocity = [1, 0.2, -0.5], angular_velocity = "90 rpm", axis = [1, 1, 0] }
 """
+PUSHED = HEAP.replace("[[0, 0, 0]", "[[0.04, 0, 0]") + PADDLE.replace(
+    "[[0.02, 0.03, 0.04], [0.06, 0.12, 0.1]]", "[[-0.05, -0.05, -0.05], [0.038, 0.21, 0.2]]"
+)
 
 
 def scene(tmp_path, bodies, walls="slip", transfer="apic-corrected", end=0.01, cfl=0.4):
@@ -114,6 +117,8 @@ CASES = {
     "cube, stick": (CUBE + POST, "stick", "apic-corrected"),
     "cube and water": (POOL + CUBE + PADDLE, PUSHES, "apic-corrected"),
     "sand": (HEAP + POST + PADDLE, "stick", "apic-corrected"),
+    "sand, pushed along walls": (PUSHED, PUSHES, "apic-corrected"),
+    "sand, pushed without slip": (PUSHED, "stick", "apic-corrected"),
 }
 
 
@@ -128,7 +133,9 @@ def test_all_together_are_the_balance(tmp_path, case):
         assert np.abs(rows(run, name, "force")).max() > 0.1, name
 
 
-@pytest.mark.parametrize("case", ["cube and water", "water, stick, aflip"])
+@pytest.mark.parametrize(
+    "case", ["cube and water", "water, stick, aflip", "sand, pushed along walls"]
+)
 def test_engines_agree(tmp_path, case):
     """On every wall and collider by itself: force, torque, work."""
     bodies, walls, transfer = CASES[case]

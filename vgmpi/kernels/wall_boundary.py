@@ -25,11 +25,13 @@ import numpy as np
 from vgmpi.kernels.simd.cooperative import strided_range, sync_threads
 from vgmpi.runtime.jit import always_inline, device_function
 
+from .grid.collider_hold import give_back_push, lost_push
 from .nodal_fields.field_protocol import MIRROR_IMPULSE, MIRROR_MOMENT
 from .reaction_impulses import (
     add_fold_reaction,
     add_mirror_reaction,
     add_wall_reaction,
+    set_node,
     store_ghost_mass,
     was_folded,
 )
@@ -237,7 +239,8 @@ def _record_mirror(patch, mirror, ghosts, fraction, s):
 
 
 @device_function
-def apply_wall_conditions(nodes, first, low, cells, kinds, friction, reaction):
+def apply_wall_conditions(nodes, first, low, cells, kinds, friction, reaction, pushed, solids,
+                          phases):  # fmt: skip
     """Apply the wall conditions to the velocities of a node block.
 
     Args:
@@ -248,6 +251,8 @@ def apply_wall_conditions(nodes, first, low, cells, kinds, friction, reaction):
         kinds: Wall kinds, shape (3, 2).
         friction: Coulomb coefficients, shape (3, 2).
         reaction: Reaction sums (in/out), or None.
+        pushed: Phase of the node block and what may push it (grid/collider_hold.py).
+        solids, phases: Rigid boundaries, and constants of the phases.
     """
     for a in range(3):
         stride = 16 if a == 0 else (4 if a == 1 else 1)
@@ -275,7 +280,46 @@ def apply_wall_conditions(nodes, first, low, cells, kinds, friction, reaction):
                             apply_coulomb_friction(nodes, v, friction[a, side] * push)
                     after = nodes[v], nodes[v + 1], nodes[v + 2], nodes[v + 3]
                     add_wall_reaction(reaction, a, side, side * cells[a], index, low, before, after)
+                    for source in range(pushed.first, pushed.last):
+                        lost = lost_push(pushed, solids, phases, source, index, before, nodes, v)
+                        if lost > 0.0:
+                            i, j, k = (
+                                low[0] + index // 16, low[1] + index // 4 % 4, low[2] + index % 4
+                            )  # fmt: skip
+                            along = _along_walls(pushed.normal, i, j, k, cells, kinds)
+                            set_node(reaction, index, i, j, k)
+                            give_back_push(
+                                pushed, solids, source, index, lost, along, nodes, v, reaction
+                            )
                 sync_threads()
+
+
+@device_function
+def _along_walls(normal, i, j, k, cells, kinds):
+    """Return a normal without its components into walls.
+
+    Args:
+        normal: Normal, shape (3,) or longer.
+        i, j, k: Node indices in the domain.
+        cells: Cells of the domain, shape (3,).
+        kinds: Wall kinds, shape (3, 2).
+    """
+    x, y, z = normal[0], normal[1], normal[2]
+    if _is_blocked(x, i, cells[0], kinds[0, 0], kinds[0, 1]):
+        x = 0.0 * x
+    if _is_blocked(y, j, cells[1], kinds[1, 0], kinds[1, 1]):
+        y = 0.0 * y
+    if _is_blocked(z, k, cells[2], kinds[2, 0], kinds[2, 1]):
+        z = 0.0 * z
+    return x, y, z
+
+
+@device_function
+def _is_blocked(component, node, cells, low, high):
+    """Return whether one of two walls, of kinds low and high, stops a velocity across them."""
+    if node <= 0 and low != 0 and low != OPEN and (component < 0.0 or low < SEPARATE):
+        return True
+    return node >= cells and high != 0 and high != OPEN and (component > 0.0 or high < SEPARATE)
 
 
 @device_function

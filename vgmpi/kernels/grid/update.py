@@ -22,6 +22,7 @@ from vgmpi.materials.couplings.interaction import CONTACT
 from vgmpi.materials.tensor_math.select import select
 from vgmpi.runtime.jit import borrowing_kernel, device_function
 
+from .collider_hold import pushed_phase
 from .contact import apply_contact, has_several_parties
 from .mixture_coupling import BlockContext, NodalFields, couple_block
 from .mixture_flux import store_mixture_values
@@ -118,7 +119,8 @@ def update(blocks, tables, summed, shear, stress, rules, walls, phases, solids, 
         if CONTACT_ENABLED and touches:
             apply_contact(block, tables, tables.solid[b], nodes, moments.nodes, shears, solids,
                           walls, phases, rules, step, scratch)  # fmt: skip
-        _stop_at_walls(block, nodes, walls, phase_of, phases, solids, scratch.given)
+        _stop_at_walls(block, tables.solid[b], nodes, moments.nodes, walls, phase_of, phases,
+                       solids, scratch, step.dx)  # fmt: skip
         if stress is not None:
             if rules is not None:
                 store_mixture_values(block, has_impulses, fields, work, pairs, step.dx)
@@ -136,10 +138,16 @@ def _fields(rows, cell_mass, cells, grid, forces, offsets, stress):
 
 
 @device_function
-def _stop_at_walls(block, velocities, walls, phase, phases, solids, reaction):
-    """Apply the wall conditions to the velocities (256 node blocks,) of a block, on both sides.
+def _stop_at_walls(block, solid, velocities, offsets, walls, phase, phases, solids, work, dx):
+    """Apply the wall conditions to the velocities of a block, on both sides of thin walls.
 
-    phase: (node blocks,); solids: rigid boundaries; reaction: reaction sums, or None.
+    Args:
+        block, solid: Context of the block; its row in solids, or -1.
+        velocities, offsets: Nodal velocities (in/out) and field of offsets, (256 node blocks,).
+        walls: Walls of the domain.
+        phase, phases: Phase of each node block, and constants of the phases.
+        solids, work: Rigid boundaries, and scratch of the thread.
+        dx: Cell size [m].
     """
     low = block.low_x, block.low_y, block.low_z
     if block.at_wall:
@@ -150,9 +158,11 @@ def _stop_at_walls(block, velocities, walls, phase, phases, solids, reaction):
         kinds = walls.kinds if phases.liquid[phase[nb]] else walls.kinds_for_solids
         if phases.at_walls[phase[nb]]:
             kinds = walls.kinds_for_surfaces
+        pushed = pushed_phase(block, solid, nb, phase, phases, solids, offsets, dx, work.plane)
         apply_wall_conditions(
-            velocities, 256 * nb, low, walls.cells, kinds, walls.friction, reaction
-        )
+            velocities, 256 * nb, low, walls.cells, kinds, walls.friction, work.given, pushed,
+            solids, phases,
+        )  # fmt: skip
     part_sides(phases, block, phase, velocities)
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from numba import cuda
 
 from vgmpi.kernels import reaction_impulses, wall_boundary
+from vgmpi.kernels.grid import collider_hold, contact_impulses
 from vgmpi.kernels.grid import contact as touch
-from vgmpi.kernels.grid import contact_impulses
 from vgmpi.kernels.rigid import prescribed_motion as driven_bodies
 from vgmpi.kernels.rigid import prescribed_transfer
 from vgmpi.kernels.simd import material_dispatch
@@ -34,6 +34,7 @@ from .translation_types import (
 DOUBLE = frozenset(
     module.__name__
     for module in (
+        collider_hold,
         contact_impulses,
         touch,
         wall_boundary,

@@ -217,13 +217,16 @@ class Dense:
             if wall == "separate" and recorder is not None and numbers is not None:
                 recorder.record_mass(axis, plane, np.moveaxis(numbers, axis, 0)[beyond])
 
-    def constrain(self, v: np.ndarray, phase: int | None = None, recorder=None) -> None:
+    def constrain(
+        self, v: np.ndarray, phase: int | None = None, recorder=None, hold=None
+    ) -> None:
         """Apply the velocity constraints of the walls.
 
         Args:
             v (in/out): Velocities, shape (..., 3) [m/s].
             phase: See `wall_planes`.
             recorder: `WallRecorder`, or None.
+            hold: `ColliderHold` of the phase, or None.
         """
         for axis, kind, friction, wall, _, beyond in self.wall_planes(phase):
             along = np.moveaxis(v, axis, 0)
@@ -240,6 +243,10 @@ class Dense:
             if recorder is not None:
                 recorder.record_constraint(axis, wall, wall, along[wall] - before[0])
                 recorder.record_constraint(axis, wall, beyond, along[beyond] - before[1])
+            if hold is not None:
+                hold.give_back(v, axis, wall, before[0])
+                if kind in PUSHING:
+                    hold.give_back(v, axis, beyond, before[1])
 
     def mirror(self, v: np.ndarray, phase: int | None = None, recorder=None) -> None:
         """Set the velocities beyond the walls as seen by the particles next to them.

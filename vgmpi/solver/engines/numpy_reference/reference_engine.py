@@ -27,6 +27,7 @@ from vgmpi.solver.engines.engine_protocol import AccumulatorOverflow, StepReport
 
 from .advection import advect
 from .cell_dilatation import cell_divergence, sum_cell_pressure, with_divergence
+from .collider_hold import ColliderHold
 from .contact import Contact
 from .dense_grid import Dense, Stencil, stencil_of
 from .density_correction import density_corrected_gradient
@@ -215,9 +216,8 @@ class Numpy(SurfaceNodes):
             return
         plan, dense = self.plan, self.dense
         mass, volume, counted = (a[..., 0] for a in (self.mass, self.volume, self.counted))
-        min_mass = np.array([NODE_MASS_FLOOR * phase.least for phase in plan.phases])[
-            :, None, None, None
-        ]
+        floors = [NODE_MASS_FLOOR * phase.least for phase in plan.phases]
+        min_mass = np.reshape(floors, (-1, 1, 1, 1))
         mass = np.where(mass > min_mass, mass, 0.0)
         some = mass[..., None] > 0
         summed = np.where(some, self.momentum / np.where(some, mass[..., None], 1.0), 0.0)
@@ -252,8 +252,9 @@ class Numpy(SurfaceNodes):
             prescribe(v, heavy, self.driven.ways, dense.points(), plan.dx)
         slope = np.where(some, self.shear / np.where(some, mass[..., None], 1.0), 0.0)
         self.contact_count = self.contact.apply(v, mass, heavy, self.offset, volume, slope, self.dt)
-        for p in range(len(v)):
-            dense.constrain(v[p], p, self.record(p, 1.0, mass[p]))
+        holds = [ColliderHold(self, p, v, mass, volume) for p in range(len(v))]
+        for p, hold in enumerate(holds):
+            dense.constrain(v[p], p, self.record(p, 1.0, mass[p]), hold)
         if self.thin is not None:
             self.thin.part(v)
         if self.sharing is not None:
