@@ -21,6 +21,7 @@ SHORT = {  # name: precision, steps, scenes
     "solids": ("single", 10, ["elastic", "corotated", "plasticine"]),
     "contact": ("single", 3, ["contact", "three in contact", "contact of faces"]),
     "walls": ("single", 2, ["walls that vanish", "open walls", "colliders that move"]),
+    "pushed": ("single", 2, ["pushed along walls", "pushed by a driven body"]),
     "transfers": ("single", 7, ["flip by steps", "apic", "pic with bspline", "apic-corrected"]),
     "couplings": ("single", 2, ["mixing", "drag"]),
     "more": (
