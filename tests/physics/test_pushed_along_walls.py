@@ -1,8 +1,9 @@
 """What a collider or a body with prescribed motion pushes along a wall stays ahead of it.
 
 A plate that reaches beyond the walls sweeps a channel: with friction or without slip on the walls,
-nothing may get into the plate or behind it. Tolerance: half a cell, which the edge of a particle's
-stencil has; a particle that walls hold back is more than a cell inside after a sweep of ten cells.
+nothing may get into the plate or behind it. Tolerance: 0.6 cells, the reach of a particle's stencil
+beyond its own cell; a particle that walls hold back is more than a cell inside after a sweep of ten
+cells.
 """
 
 import numpy as np
@@ -57,7 +58,7 @@ def test_nothing_gets_into_a_plate_that_sweeps_a_channel(tmp_path, name):
     text = SCENE.format(
         stuff=stuff, walls=walls, size=box([0.6, 0.12, 0.2], [0] * 3, turned)[0],
         bed=box([0.1, 0, 0], [0.6, 0.12, 0.08], turned),
-        plate=box([0.02, -0.08, -0.08], [0.08, 0.2, 0.3], turned),
+        plate=box([-0.08, -0.08, -0.08], [0.08, 0.2, 0.3], turned),
         velocity=box([0.5, 0, 0], [0] * 3, turned)[0],
     )  # fmt: skip
     simulation, made = begin(tmp_path, text)
@@ -65,7 +66,7 @@ def test_nothing_gets_into_a_plate_that_sweeps_a_channel(tmp_path, name):
     (x,) = by_id(simulation, "x")
     along = x[:, 1 if turned else 0]
     assert len(x) == len(made.x)
-    assert (0.08 + 0.2 - along).max() < 0.5 * CELL
+    assert (0.08 + 0.2 - along).max() < 0.6 * CELL
     assert along.max() > 0.55 and x[:, 2].max() > 0.12  # it was pushed together
 
 

@@ -217,9 +217,7 @@ class Dense:
             if wall == "separate" and recorder is not None and numbers is not None:
                 recorder.record_mass(axis, plane, np.moveaxis(numbers, axis, 0)[beyond])
 
-    def constrain(
-        self, v: np.ndarray, phase: int | None = None, recorder=None, hold=None
-    ) -> None:
+    def constrain(self, v: np.ndarray, phase: int | None = None, recorder=None, hold=None) -> None:
         """Apply the velocity constraints of the walls.
 
         Args:
