@@ -187,3 +187,34 @@ def test_lets_a_gripper_lift_a_cube(tmp_path, boundary):
     slip = 0.06 - (x[:, 2].mean() - 0.03)
     print(f"slip {1e3 * slip:.2f} mm")
     assert abs(slip) < 0.0015
+
+
+SLIDING = """
+[domain]
+size = [0.6, 0.24, 0.12]
+cell = 0.015
+boundary = { bottom = { kind = "separate", friction = 0.3 } }
+[time]
+end = 1
+[material.stuff]
+MATERIAL
+[[object]]
+name = "slab"
+material = "stuff"
+velocity = [0.8, 0, 0]
+shape = { box = [[0.06, 0.03, 0], [0.3, 0.21, 0.06]] }
+"""
+SOFT = 'kind = "elastic"\ndensity = 1000\nyoungs_modulus = "20 kPa"'
+
+
+@pytest.mark.parametrize("material", ['kind = "snow"', SOFT], ids=["snow", "soft solid"])
+def test_friction_is_that_of_all_that_presses(tmp_path, material):
+    """Coulomb: mu times the impulse of the wall, which is that of weight and lost momentum."""
+    simulation, _ = begin(tmp_path, filled(SLIDING, MATERIAL=material))
+    (before,) = by_id(simulation, "v")
+    advance(simulation, 0.1)
+    (after,) = by_id(simulation, "v")
+    change = (after - before).mean(0)
+    ratio = -change[0] / (9.8 * simulation.time + change[2])
+    print(f"friction over pressure {ratio:.4f}")
+    assert ratio == pytest.approx(0.3, rel=0.02)

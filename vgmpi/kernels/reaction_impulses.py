@@ -269,17 +269,19 @@ def add_fold_reaction(ghosts, s, a, side, wall, i, j, patch, ghost, stick, yield
         patch: Patch of momenta and masses.
         ghost: Position of the ghost node in it.
         stick: Whether the wall is a stick wall.
-        yields: Whether it lets go; the mass that it folds back is stored as negative.
+        yields: Whether it lets go; the mass that it folds back is stored as negative, and the
+            impulse is that of its nodes.
     """
     if ghosts is not None:
         if ghosts.holds_mass != 0:
             mass = -patch[ghost + 3] if yields else patch[ghost + 3]
             ghosts.mass[ghosts.slot[s], 2 * a + side, 8 * i + j] = mass
-        k = -2.0 * ghosts.share
-        jx = k * patch[ghost] if stick or a == 0 else 0.0
-        jy = k * patch[ghost + 1] if stick or a == 1 else 0.0
-        jz = k * patch[ghost + 2] if stick or a == 2 else 0.0
-        _on_plane(ghosts, s, a, side, wall, i, j, jx, jy, jz)
+        if not yields:
+            k = -2.0 * ghosts.share
+            jx = k * patch[ghost] if stick or a == 0 else 0.0
+            jy = k * patch[ghost + 1] if stick or a == 1 else 0.0
+            jz = k * patch[ghost + 2] if stick or a == 2 else 0.0
+            _on_plane(ghosts, s, a, side, wall, i, j, jx, jy, jz)
 
 
 @device_function

@@ -11,7 +11,8 @@ A separate wall only pushes. On liquids it is a clamp with Coulomb friction. On 
 is a mirror for what presses on it and a clamp for what pulls: the patch of a segment folds back the
 momentum on a ghost node, with the stress impulse, if it leads into the wall. Without that, the
 pressure on the wall would push the nodes inside toward it, and the body would sink until half a
-cell of it is beyond. A ghost node at rest, as one without mass is after this, takes its velocity
+cell of it is beyond. Twice this momentum is added to the wall's node, so that momentum stays and
+the clamp at the wall's nodes, with its friction, acts on all that presses. A ghost node at rest, as one without mass is after this, takes its velocity
 from the mirror. The decision needs the sums of one segment only, so that it is the same on any
 number of ranks. Stiff bodies with resolved surfaces meet the wall like a collider
 (kernels/grid/contact.py).
@@ -40,9 +41,6 @@ from .reaction_impulses import (
 # everything else but liquids
 STICK, SLIP, SEPARATE, OPEN, YIELDING = 1, 2, 3, 4, 5
 KINDS = {"stick": STICK, "slip": SLIP, "separate": SEPARATE, "open": OPEN}
-# [-] pressure on a wall over the part of it on the wall's nodes: quadratic B-splines leave an
-# eighth to the nodes inside and to the ghost nodes each
-FOLDED_PUSH = 4.0 / 3.0
 SIDE = 8  # nodes along an edge of a patch
 # numbers of a patch from a node to the next along x, y, z
 NODE_STRIDES = 4 * SIDE * SIDE, 4 * SIDE, 4
@@ -106,9 +104,12 @@ def fold_ghost_momentum(patch, mirror, field_mirror, ghosts, s):
                 i, j = q // SIDE, q % SIDE
                 node = i * first + j * second
                 inner, ghost = node + (wall + step) * across, node + (wall - step) * across
-                if yields and not step * patch[ghost + a] < 0:  # it does not press
-                    store_ghost_mass(ghosts, s, a, side, i, j, patch[ghost + 3])
-                    continue
+                if yields:
+                    if not step * patch[ghost + a] < 0:  # it does not press
+                        store_ghost_mass(ghosts, s, a, side, i, j, patch[ghost + 3])
+                        continue
+                    # what the reflection takes from the wall, its nodes press on it instead
+                    patch[node + wall * across + a] += 2 * patch[ghost + a]
                 add_fold_reaction(
                     ghosts, s, a, side, wall, i, j, patch, ghost, kind == STICK, yields
                 )
@@ -276,7 +277,6 @@ def apply_wall_conditions(nodes, first, low, cells, kinds, friction, reaction, p
                         push = -nodes[v + a] if side == 0 else nodes[v + a]
                         if push > 0:
                             nodes[v + a] = 0
-                            push *= FOLDED_PUSH if kind == YIELDING else 1.0
                             apply_coulomb_friction(nodes, v, friction[a, side] * push)
                     after = nodes[v], nodes[v + 1], nodes[v + 2], nodes[v + 3]
                     add_wall_reaction(reaction, a, side, side * cells[a], index, low, before, after)

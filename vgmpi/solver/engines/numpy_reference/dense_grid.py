@@ -6,7 +6,6 @@ B-splines a particle touches the 27 nodes from its base node on.
 
 import numpy as np
 
-from vgmpi.kernels.wall_boundary import FOLDED_PUSH
 from vgmpi.parallel.block_lattice import BLOCK_EDGE
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.phases_and_groups import PhasePlan
@@ -235,9 +234,8 @@ class Dense:
             elif kind == "slip":
                 along[wall, ..., axis] = 0.0
             else:
-                more = FOLDED_PUSH if kind == "yielding" else 1.0
                 for plane in (wall, beyond):
-                    _push_back(along[plane], axis, inward, friction * more)
+                    _push_back(along[plane], axis, inward, friction)
             if recorder is not None:
                 recorder.record_constraint(axis, wall, wall, along[wall] - before[0])
                 recorder.record_constraint(axis, wall, beyond, along[beyond] - before[1])

@@ -122,6 +122,7 @@ class PatchSums:
         folds = np.ones(beyond.shape[:-1], bool)
         if kind == YIELDING:
             folds = step * beyond[..., axis] < 0.0
+            u[rows, wall, ..., axis] += 2.0 * np.where(folds, beyond[..., axis], 0.0)
         folded, sign = np.where(folds[..., None], beyond, 0.0), np.ones(3)
         sign[axis] = -1.0
         if kind == STICK:
@@ -136,7 +137,8 @@ class PatchSums:
             impulse, bent, unfolded = (
                 self._plane(rows, axis, f) for f in (folded, part, mass - part)
             )
-            recorder.record_fold(axis, plane, impulse, sign)
+            if kind != YIELDING:
+                recorder.record_fold(axis, plane, impulse, sign)
             if has_mass:
                 recorder.add_mass(axis, plane, unfolded, bent)
 
