@@ -12,10 +12,10 @@ is a mirror for what presses on it and a clamp for what pulls: the patch of a se
 momentum on a ghost node, with the stress impulse, if it leads into the wall. Without that, the
 pressure on the wall would push the nodes inside toward it, and the body would sink until half a
 cell of it is beyond. Twice this momentum is added to the wall's node, so that momentum stays and
-the clamp at the wall's nodes, with its friction, acts on all that presses. A ghost node at rest, as one without mass is after this, takes its velocity
-from the mirror. The decision needs the sums of one segment only, so that it is the same on any
-number of ranks. Stiff bodies with resolved surfaces meet the wall like a collider
-(kernels/grid/contact.py).
+the clamp at the wall's nodes, with its friction, acts on all that presses. A ghost node at rest,
+as one without mass is after this, takes its velocity from the mirror. The decision needs the sums
+of one segment only, so that it is the same on any number of ranks. Stiff bodies with resolved
+surfaces meet the wall like a collider (kernels/grid/contact.py).
 
 A patch meets a wall by a code: 8 * (index of the wall's nodes in the patch) + kind; 0 where it
 meets none.
