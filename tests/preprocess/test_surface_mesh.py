@@ -7,14 +7,12 @@ import scipy
 from imageio.v3 import imwrite
 from scipy.spatial import cKDTree
 
-import vgmpi
 from tests.support.small_scenes import ROOM, scene
 from vgmpi.gaussians.cloud import rotation_matrices
 from vgmpi.preprocess import shape_sdf
 from vgmpi.preprocess.meshes import point_in_mesh, surface_mesh
 from vgmpi.preprocess.meshes.surface_mesh import MeshError
 from vgmpi.preprocess.meshes.triangle_mesh import Mesh
-from vgmpi.preprocess.object_builder import build_object
 from vgmpi.solver.initial_particles import preparation_hash
 
 
@@ -392,36 +390,3 @@ def test_what_a_library_says_of_a_file_is_a_line_for_people(tmp_path):
         surface_mesh.read(path)
     assert "could not convert string to float: '999" in str(caught.value)
     assert len(str(caught.value)) < 300 + len(str(path))
-
-
-@pytest.mark.parametrize("color, share_of_red", [("", 0.06), ('color = "#00ff00"\n', 0.0)])
-def test_a_color_of_the_scene_goes_before_that_of_a_material(tmp_path, color, share_of_red):
-    """Kd colors one of two equal triangles; many programs write a gray one that nobody chose."""
-    painted(tmp_path, picture=None)
-    text = MATERIAL_SCENE.replace("COLOR\n", color)
-    cloud = build_object(vgmpi.load(tmp_path / "scene.toml", text=text), 1).cloud
-    assert (cloud.rgb[:, 0] > 2 * cloud.rgb[:, 1]).mean() == pytest.approx(share_of_red, abs=0.02)
-
-
-MATERIAL_SCENE = """
-[domain]
-size = [1, 1, 1]
-cell = 0.1
-[time]
-end = 0.1
-[material.rubber]
-kind = "elastic"
-density = 400
-youngs_modulus = "0.1 MPa"
-[[object]]
-name = "ball"
-material = "rubber"
-shape = { sphere = { center = [0.5, 0.5, 0.7], radius = 0.2 } }
-[[object]]
-name = "square"
-role = "scenery"
-mesh = "square.obj"
-width = 0.5
-position = [0.5, 0.5, 0.1]
-COLOR
-"""

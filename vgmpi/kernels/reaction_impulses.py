@@ -302,7 +302,14 @@ def store_ghost_mass(ghosts, s, a, side, i, j, mass):
 
 @device_function
 def was_folded(ghosts, s, a, side, i, j):
-    """Return whether a wall that lets go has folded the mass of a ghost node back."""
+    """Return whether a wall that lets go has folded the mass of a ghost node back.
+
+    Args:
+        ghosts: Ghost nodes, or None.
+        s: Row of the segment.
+        a, side: Axis and side of the wall.
+        i, j: Place of the node in its plane.
+    """
     if ghosts is not None:
         return ghosts.mass[ghosts.slot[s], 2 * a + side, 8 * i + j] < 0
     return False

@@ -32,6 +32,7 @@ from vgmpi.scene.objects import Object
 from vgmpi.scene.scene import Scene
 
 from . import memory_estimate, shape_sdf
+from .baked_shading import apply_baked_shading
 from .collider_sdf import Collider, ShapeCollider, VoxelCollider
 from .crop import crop
 from .floaters import capture_floaters
@@ -49,8 +50,6 @@ from .sheet_collider import SheetCollider
 
 log = logging.getLogger("vgmpi")
 
-LIGHT = np.array([0.36, -0.48, 0.80])  # [-] unit vector towards the painted light
-MIN_SHADE = 1e-3  # [-] smallest factor of the light, so that colors can be divided by it
 _FINENESS = (
     3  # [-] resolution of the lattice that measures meshes, relative to their particles' lattice
 )
@@ -379,28 +378,6 @@ def isotropic_gaussians(
         dc_from_rgb(rgb)[:, None, :].astype(np.float32),
         shade,
     )
-
-
-def apply_baked_shading(
-    rgb: np.ndarray, normal: np.ndarray, amount: float
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """Darken colors where the surface faces away from the light.
-
-    Gaussians carry no lights: without this a plain body is a flat silhouette. A renderer that has
-    lights divides by the factors.
-
-    Args:
-        rgb: Colors, shape (n, 3).
-        normal: Outward unit normals, shape (n, 3).
-        amount: Largest reduction, 0 to 1.
-
-    Returns:
-        Darkened colors (n, 3) and factors (n,), at least MIN_SHADE, or None if `amount` is 0.
-    """
-    facing = 0.5 + 0.5 * (normal * LIGHT).sum(axis=1)
-    factor = 1.0 - amount * (1.0 - facing)
-    shade = np.clip(factor, MIN_SHADE, 1.0).astype(np.float32) if amount else None
-    return rgb * factor[:, None], shade
 
 
 def _is_fluid(scene: Scene, obj: Object) -> bool:

@@ -218,20 +218,7 @@ def _command(args: argparse.Namespace, ranks: SerialCommunicator) -> int:
     scene = load(args.scene, args.set)
     folder = args.output or scene.folder / scene.output.folder
     if args.check:
-        from vgmpi.planning.cost.timestep_advice import soft_liquid_lines
-        from vgmpi.preprocess.holding_walls import holding_walls
-        from vgmpi.preprocess.liquid_weight import closed_box_tensions, liquid_weights
-        from vgmpi.preprocess.scene_builder import build_scene
-
-        # only this finds unreadable files and bodies outside the domain
-        particles = build_scene(scene)
-        objects, x = particles.objects, particles.x
-        tensions = closed_box_tensions(scene, objects, x, particles.vol0)
-        lines = soft_liquid_lines(scene, liquid_weights(scene, objects, x), tensions)
-        lines += [f"wall {holding_wall_line(name)}" for name in holding_walls(scene, objects, x)]
-        other = "else " * bool(lines or particles.warnings)
-        print("\n".join([*lines, f"{args.scene}: nothing {other}is wrong with it"]))
-        return 0
+        return _check(args, scene)
     refusal = _slurm_mismatch(ranks)
     refusal = refusal or (_engine_refusal(args, scene) if args.plan else _folder_problem(folder))
     if refusal:
@@ -273,6 +260,24 @@ def _command(args: argparse.Namespace, ranks: SerialCommunicator) -> int:
             print(card_module(ranks).memory_report(plan, ranks.size))
     refusal = memory_refusal(plan.bytes(), ranks)
     return refuse([refusal], ranks) if refusal and not args.force else 0
+
+
+def _check(args: argparse.Namespace, scene: Scene) -> int:
+    """Make the particles of a scene and print what is wrong with it; return the exit code."""
+    from vgmpi.planning.cost.timestep_advice import soft_liquid_lines
+    from vgmpi.preprocess.holding_walls import holding_walls
+    from vgmpi.preprocess.liquid_weight import closed_box_tensions, liquid_weights
+    from vgmpi.preprocess.scene_builder import build_scene
+
+    # only this finds unreadable files and bodies outside the domain
+    particles = build_scene(scene)
+    objects, x = particles.objects, particles.x
+    tensions = closed_box_tensions(scene, objects, x, particles.vol0)
+    lines = soft_liquid_lines(scene, liquid_weights(scene, objects, x), tensions)
+    lines += [f"wall {holding_wall_line(name)}" for name in holding_walls(scene, objects, x)]
+    other = "else " * bool(lines or particles.warnings)
+    print("\n".join([*lines, f"{args.scene}: nothing {other}is wrong with it"]))
+    return 0
 
 
 def _engine_refusal(args: argparse.Namespace, scene: Scene) -> str:

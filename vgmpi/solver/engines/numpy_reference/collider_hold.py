@@ -40,8 +40,7 @@ class ColliderHold:
             return
         if engine.movers is not None:
             self.sources.append(self._collider())
-        driven = np.flatnonzero(contact.ways.driven) if len(contact.ways.driven) else []
-        for q in driven:
+        for q in np.flatnonzero(contact.ways.driven):
             size = np.linalg.norm(offset[q], axis=-1)
             is_near = (mass[q] > contact.least[q]) & (size > 0.0)
             if contact.plan.phases[q].surface and is_near.any():
