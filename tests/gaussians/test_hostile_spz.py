@@ -90,7 +90,7 @@ def test_many_kinds_of_records_are_told_in_a_short_line(tmp_path):
     assert omission == "extension records are left out (0x00000001, 0x00000002, 0x00000003)"
 
 
-@pytest.mark.parametrize("data", GOOD)
+@pytest.mark.parametrize("data", GOOD, ids=range(len(GOOD)))
 def test_what_is_damaged_here_is_good(tmp_path, data):
     (tmp_path / "a.spz").write_bytes(data)
     assert len(registry.read(tmp_path / "a.spz")) == 50

@@ -147,7 +147,7 @@ def spz_sections(rows, version=3):
 def spz(rows, version=3, records=b"", **header):
     """The bytes of a .spz file of version 1 to 3; records: extension records."""
     head = spz_header(len(rows), version, **header)
-    return gzip.compress(head + b"".join(spz_sections(rows, version)) + records, 6)
+    return gzip.compress(head + b"".join(spz_sections(rows, version)) + records, 6, mtime=0)
 
 
 def spz4(rows, pack, records=b"", **header):

@@ -240,7 +240,7 @@ SPZ4_EXTENDED = gaussian_files.spz4([SPZ_ROW] * 50, ZSTD, records=SPZ_RECORDS, f
 
 
 def spz_header(count=1, data=bytes(20), **header):
-    return gzip.compress(gaussian_files.spz_header(count, **header) + data, 1)
+    return gzip.compress(gaussian_files.spz_header(count, **header) + data, 1, mtime=0)
 
 
 def spz_bomb(path, count, size, flags=0):
@@ -256,9 +256,9 @@ def spz_bomb(path, count, size, flags=0):
 SPZ = {
     "empty": (b"", "not a .spz"),
     "a .ply": (GOOD, "not a .spz"),
-    "gzip of nothing": (gzip.compress(b""), "header"),
-    "gzip of a .ply": (gzip.compress(GOOD), "NGSP"),
-    "half a header": (gzip.compress(b"NGSP\x03\0\0\0"), "header"),
+    "gzip of nothing": (gzip.compress(b"", mtime=0), "header"),
+    "gzip of a .ply": (gzip.compress(GOOD, mtime=0), "NGSP"),
+    "half a header": (gzip.compress(b"NGSP\x03\0\0\0", mtime=0), "header"),
     "version 0": (spz_header(version=0), "version 0"),
     "version 9": (spz_header(version=9), "version 9"),
     "version 4 in gzip": (spz_header(version=4), "version 4"),
