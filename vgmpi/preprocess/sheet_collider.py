@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import scipy.spatial
+import scipy
 
 from vgmpi.kernels.rigid.free_bodies import RigidBody
 from vgmpi.kernels.rigid.shell_sampling import ShellLattice
@@ -87,16 +87,16 @@ class SheetCollider:
         return best
 
     @cached_property
-    def _pieces(self) -> tuple[scipy.spatial.cKDTree, np.ndarray]:
+    def _pieces(self) -> "tuple[scipy.spatial.cKDTree, np.ndarray]":
         """Return `_cut` for points that are not far."""
         return self._cut(_PIECE_CELLS)
 
     @cached_property
-    def _far_pieces(self) -> tuple[scipy.spatial.cKDTree, np.ndarray]:
+    def _far_pieces(self) -> "tuple[scipy.spatial.cKDTree, np.ndarray]":
         """Return `_cut` for far points."""
         return self._cut(_FAR_PIECE_CELLS)
 
-    def _cut(self, cells: float) -> tuple[scipy.spatial.cKDTree, np.ndarray]:
+    def _cut(self, cells: float) -> "tuple[scipy.spatial.cKDTree, np.ndarray]":
         """Return a tree of the centers of small pieces, and the triangle of each, shape (k,).
 
         Args:
