@@ -25,6 +25,7 @@ SCENE = """
 [domain]
 size = [{wide!r}, {deep!r}, {high!r}]
 cell = 0.01
+boundary.default = "slip"
 [time]
 end = 4
 [accuracy]

@@ -24,6 +24,7 @@ precision = "double"
 [domain]
 size = {size}
 cell = {cell!r}
+boundary.default = "slip"
 gravity = [0, 0, {gravity!r}]
 gravity_ramp_time = {ramp!r}
 [time]

@@ -21,6 +21,7 @@ SCENE = """
 [domain]
 size = [{size[0]!r}, {size[1]!r}, {size[2]!r}]
 cell = {cell!r}
+boundary.default = "slip"
 gravity = [0, 0, -9.80665]
 [time]
 end = {end}

@@ -20,6 +20,7 @@ precision = "double"
 [domain]
 size = [0.04, 0.04, {POND + SAND + 0.04!r}]
 cell = 0.01
+boundary.default = "slip"
 gravity = [0, 0, {-G}]
 gravity_ramp_time = {RAMP}
 [time]

@@ -35,6 +35,7 @@ SCENE = f"""
 [domain]
 size = [{TANK[0]}, {TANK[1]}, {TANK[2]}]
 cell = CELL
+boundary.default = "slip"
 GRAVITY
 [time]
 end = 100

@@ -47,6 +47,7 @@ HEAD = """
 [domain]
 size = [{width}, {deep}, 0.48]
 cell = 0.02
+boundary.default = "slip"
 gravity = [0, 0, {gravity}]
 [time]
 end = 2

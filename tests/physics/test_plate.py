@@ -18,6 +18,7 @@ SCENE = """
 [domain]
 size = [0.2, 0.2, 0.75]
 cell = 0.025
+boundary.default = "slip"
 [time]
 end = 4
 [accuracy]

@@ -24,6 +24,7 @@ precision = "double"
 [domain]
 size = [0.08, 0.08, 0.48]
 cell = 0.02
+boundary.default = "slip"
 gravity = [0, 0, 0]
 [time]
 end = 10

@@ -16,6 +16,7 @@ TANK = """
 [domain]
 size = [{size}, 0.04, 0.32]
 cell = 0.01
+boundary.default = "slip"
 gravity = [0, 0, -9.8]
 [time]
 end = 1
@@ -51,6 +52,7 @@ CUP = """
 [domain]
 size = [0.4, 0.24, 0.4]
 cell = 0.01
+boundary.default = "slip"
 gravity = [0, 0, -9.8]
 [time]
 end = 1

@@ -29,6 +29,7 @@ SCENE = """
 [domain]
 size = [0.4, 0.04, 0.4]
 cell = 0.01
+boundary.default = "slip"
 gravity = [0, 0, -9.8]
 [time]
 end = 100
