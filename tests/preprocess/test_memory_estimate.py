@@ -128,7 +128,7 @@ CASES = {
         ),
         "",
         "object.rock.mesh",
-        "its grid has 15,625,000 points, the file ",
+        "holds StructuredPoints: allowed are PolyData and UnstructuredGrid",
     ),
     "a mesh of a terabyte": (
         rock('"a.stl"'),

@@ -23,7 +23,9 @@ def crop(cloud: GaussianCloud, select: Select | None) -> GaussianCloud:
     Raises:
         PlacementError: If the file has no such column of labels, or none of its values is selected.
     """
-    labels, cloud = cloud.labels, replace(cloud, labels={})
+    labels = cloud.labels
+    if labels:
+        cloud = replace(cloud, labels={})
     if select is None:
         return cloud
     mask = cloud.opacity >= select.min_opacity
