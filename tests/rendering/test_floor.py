@@ -116,10 +116,8 @@ def test_the_shadow_is_seen_where_it_lies():
     """From above x is to the right and y upwards: neither swapped nor turned."""
     floor = GroundPlane(color=(1, 1, 1), light=(0.6, -0.2, -1.0), softness=0.0, shadow=1.0)
     dark, faint = ball((0.1, 0.6, 0.5)), ball((-0.5, 0.7, 0.5), opacity=0.1)  # so the map is wide
-    both = (np.concatenate(parts) for parts in zip(*(vars(s).values() for s in (dark, faint))))
-    out = composite_ground(floor, cast_shadow(rasterize.ProjectableGaussians(*both), floor), TOP)[
-        ..., 0
-    ]
+    both = rasterize.join_gaussians([dark, faint])
+    out = composite_ground(floor, cast_shadow(both, floor), TOP)[..., 0]
     row, column = np.unravel_index(out.argmin(), out.shape)
     pixel = 4.0 / TOP.fx
     np.testing.assert_allclose([(column - 50) * pixel, (50 - row) * pixel], [0.4, 0.5], atol=pixel)
