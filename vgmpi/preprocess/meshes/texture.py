@@ -114,9 +114,8 @@ def file_in_mesh_folder(path: Path, name: str) -> Path:
     return file
 
 
-def read_texture(mesh_path: Path, name: str) -> np.ndarray:
-    """Return an image (height, width, 3), 0..1, that a mesh names. Raises TextureError."""
-    path = file_in_mesh_folder(mesh_path, name)
+def read_texture(path: Path) -> np.ndarray:
+    """Return an image (height, width, 3), 0..1. Raises TextureError."""
     try:
         pixels = read_image(path)
     except ValueError as error:

@@ -105,7 +105,8 @@ def _textures(
     if not used or not uvs:
         return None
     try:
-        images = [texture.read_texture(path, str(properties[name].image)) for name in used]
+        files = [texture.file_in_mesh_folder(path, str(properties[name].image)) for name in used]
+        images = [texture.read_texture(file) for file in files]
     except texture.TextureError as error:  # many meshes come without their images
         log.warning(
             "%s: %s: its colors are those of its materials, points or the object", path, error
