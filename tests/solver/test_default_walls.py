@@ -73,6 +73,17 @@ def test_the_kind_is_that_of_the_material(tmp_path):
     assert kinds == [["slip"] * 6, ["separate"] * 4 + ["slip", "separate"]]
 
 
+def test_sand_in_water_meets_walls_as_the_water_does(tmp_path):
+    """The fractions of both add up at a wall only if both are completed there."""
+    text = text_of(body("grains") + POOL)
+    _, alone = plan_of(tmp_path, text)
+    seeps = '[[coupling]]\nkind = "drag"\nbetween = ["water", "grains"]\n'
+    _, both = plan_of(tmp_path, f"{text}{seeps}hydraulic_conductivity = 1e-2\n")
+    for plan, held in ((alone, ["water"]), (both, ["grains", "water"])):
+        materials = {group.material for group in plan.groups if plan.phases[group.phase].is_liquid}
+        assert sorted(materials) == held
+
+
 def test_liquids_keep_their_bits(tmp_path):
     """Liquids alone move as in a box of slip walls."""
     ends = []

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vgmpi.materials.couplings.interaction import DRAG, InteractionRules
+from vgmpi.materials.couplings.interaction import CONTACT, DRAG, InteractionRules
 from vgmpi.materials.material import law_function, state_channels
 from vgmpi.scene.inlets_outlets import Inlet
 from vgmpi.scene.objects import Object
@@ -123,11 +123,12 @@ class PhasePlan(NamedTuple):
     driven: bool = False  # its velocity is prescribed
     fills_by_volume: bool = False  # its liquids are shifted and differ in density
     is_soft: bool = False  # its weight or its speed is too much for contact with walls
+    shares_space: bool = False  # it lies in the same space as another phase
 
     @property
     def is_liquid(self) -> bool:
-        """True if it holds a liquid, perhaps with others; walls without a kind hold it."""
-        return "fluid" in self.families
+        """True if it holds a liquid, or lies in one; walls without a kind hold it."""
+        return self.shares_space or "fluid" in self.families
 
     @property
     def meets_walls_by_contact(self) -> bool:
@@ -205,6 +206,7 @@ def phases_of(
         ]
         for name in names
     }  # fmt: skip
+    sharing = {m for c in scene.coupling if c.rule != CONTACT for m in c.between}
     order = sorted(names, key=mastery)
     cell = scene.domain.cell**3
     return tuple(
@@ -217,6 +219,9 @@ def phases_of(
             max(densities[name]) * cell,
             all(surface[k] for k in members[name]),
             name in driven,
+            shares_space=any(
+                not sharing.isdisjoint(scene.materials_of(scene.things[k])) for k in members[name]
+            ),
         )
         for name in names
     )
