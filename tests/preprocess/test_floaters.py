@@ -8,6 +8,7 @@ import pytest
 
 import vgmpi
 from tests.preprocess.test_interior_fill import shell
+from tests.support.small_scenes import PEBBLE
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import registry
 from vgmpi.preprocess.floaters import find_floaters
@@ -15,25 +16,15 @@ from vgmpi.preprocess.inspect_file import describe_file
 from vgmpi.preprocess.object_builder import build_object
 
 COUNT = 2000
-SCENE = """
-[domain]
-size = [0.64, 0.64, 0.64]
-cell = 0.02
-[time]
-end = 0.1
-[material.rubber]
-kind = "elastic"
-density = 400
-youngs_modulus = "0.1 MPa"
-[[object]]
-name = "pebble"
-material = "rubber"
-shape = { sphere = { center = [0.06, 0.06, 0.5], radius = 0.05 } }
+SCENE = (
+    PEBBLE
+    + """
 [[object]]
 name = "thing"
 gaussians = "thing.ply"
 position = [0.32, 0.32, 0.1]
 """
+)
 BODY = 'material = "rubber"\nheight = 0.3\n'
 
 

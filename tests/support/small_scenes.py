@@ -14,6 +14,22 @@ gravity = [0, 0, 0]
 [time]
 end = 1
 """
+# a small rubber body in a room, beside the object that a test adds
+PEBBLE = """
+[domain]
+size = [0.64, 0.64, 0.64]
+cell = 0.02
+[time]
+end = 0.1
+[material.rubber]
+kind = "elastic"
+density = 400
+youngs_modulus = "0.1 MPa"
+[[object]]
+name = "pebble"
+material = "rubber"
+shape = { sphere = { center = [0.06, 0.06, 0.5], radius = 0.05 } }
+"""
 # a partner of a material "water", for an object that a test adds: a liquid, and grains
 MIXES_WITH_MILK = """
 [material.milk]

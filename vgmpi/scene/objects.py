@@ -23,7 +23,6 @@ from .captures import Frame, Select, validate_select
 from .initial_fields import FractionProfile, Spin, Velocity, VelocityMode
 from .keyframes import Time
 from .pinned_parts import PinnedPart, validate_pinned
-from .pruning_keys import validate_pruning
 from .regions import Region, validate_regions
 from .rigid_motion import Motion, validate_motion
 from .rigid_objects import FreeBody, validate_rigid
@@ -309,7 +308,7 @@ def validate_object(raw: dict) -> list[tuple[tuple, str]]:
     for key in ("frame", "select", "fill", "render_model"):
         if key in raw and sources and "gaussians" not in raw:
             errors.append(((key,), f"is only for objects made of gaussians, not of a {sources[0]}"))
-    errors += validate_select(raw.get("select")) + validate_pruning(raw, sources)
+    errors += validate_select(raw.get("select")) + _validate_pruning(raw, sources)
     scenery = raw.get("role") == "scenery"
     if scenery:
         for key in BODY_ONLY_KEYS:
@@ -369,4 +368,25 @@ def validate_release(obj: Object, family: str) -> list[tuple[str, str]]:
     if first is not None and last is not None and last <= first:
         message = f"must be later than release_time = {first:g} s; got {last:g} s"
         errors.append(("release_end_time", message))
+    return errors
+
+
+def _validate_pruning(raw: dict, sources: list[str]) -> list[tuple[tuple, str]]:
+    """Return (path, message) for keys about pruning that do not go together."""
+    mode, errors = raw.get("prune", "off"), []
+    if mode != "off" and sources == ["shape"]:
+        errors.append((("prune",), "is only for objects made of gaussians or a mesh"))
+    if mode == "versagauss" and "prune_scale" not in raw:
+        errors.append((("prune",), "needs prune_scale: VersaGauss keeps shares by a volume scale"))
+    if "prune_scale" in raw and mode != "versagauss" and raw.get("prune") != "off":
+        errors.append((("prune_scale",), 'is only for prune = "versagauss"'))
+    if mode == "off" and raw.get("passive_gaussians") is True:
+        errors.append(
+            (
+                ("passive_gaussians",),
+                'needs prune = "auto" or "versagauss": what is pruned rides along',
+            )
+        )
+    if "volume_fraction_profile" in raw and raw.get("passive_gaussians") is True:
+        errors.append((("passive_gaussians",), "is not for objects with a volume_fraction_profile"))
     return errors
