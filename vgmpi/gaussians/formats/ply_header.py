@@ -1,4 +1,4 @@
-"""Header of a .ply file: its elements with the types of their properties, and its comments."""
+"""Header of a .ply file, of Gaussians or of a mesh: elements, types of properties, comments."""
 
 import re
 from typing import BinaryIO, NamedTuple
@@ -21,6 +21,7 @@ _TYPES = {
 _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
 ENCODINGS = {"<": "binary little-endian", ">": "binary big-endian", "=": "ASCII text"}
 _HEADER_LIMIT = 1 << 16  # [bytes] a Gaussian file's header has about 2 KB
+_HEADER_END = re.compile(rb"[\r\n]end_header[ \t]*(\r\n|\n|\r)")
 _LINE_LIMIT = 200  # [characters] of a header line
 _ROW_LIMIT = 4096  # [bytes] of a row; all standard properties take 496
 _COMMENT_COUNT, _COMMENT_LENGTH = 8, 120  # bounds of what a record keeps of the comments
@@ -36,13 +37,15 @@ class Layout(NamedTuple):
         name: Its name.
         row_count: Its number of rows.
         row: Type of a row; empty if the element has no properties or has lists.
-        columns: Types of its properties in order: one for a scalar, two (of the number of items and
-            of an item) for a list.
+        names: Names of its properties in order.
+        columns: Types of its properties: one for a scalar, two (of the number of items and of an
+            item) for a list.
     """
 
     name: str
     row_count: int
     row: np.dtype
+    names: tuple[str, ...]
     columns: tuple[tuple[np.dtype, ...], ...]
 
     @property
@@ -128,14 +131,13 @@ def _printable(text: str) -> str:
 
 def _header_lines(head: bytes) -> tuple[list[str], int]:
     """Return the lines of the header after the first, and the offset of the data."""
-    if not head.startswith((b"ply\n", b"ply\r\n")):
+    if not head.startswith((b"ply\n", b"ply\r")):
         raise GaussianFileError("is not a .ply file (it does not begin with 'ply')")
-    for terminator in (b"\nend_header\n", b"\nend_header\r\n"):
-        offset = head.find(terminator)
-        if offset >= 0:
-            text = head[:offset].decode("ascii", errors="replace")
-            return [line.strip() for line in text.splitlines()[1:]], offset + len(terminator)
-    raise GaussianFileError(f"the header has no end within {_HEADER_LIMIT // 1024} KB")
+    end = _HEADER_END.search(head)
+    if end is None:
+        raise GaussianFileError(f"its header has no end within {_HEADER_LIMIT // 1024} KB")
+    text = head[: end.start()].decode("ascii", errors="replace")
+    return [line.strip() for line in text.splitlines()[1:]], end.end()
 
 
 def _property(line: str, words: list[str]) -> tuple[str, tuple[str, ...]]:
@@ -166,4 +168,4 @@ def _layout(order: str, name: str, count: int, properties: list) -> Layout:
         raise GaussianFileError(
             f"has rows of {row.itemsize:,} bytes in '{name}': the most is {_ROW_LIMIT:,}"
         )
-    return Layout(name, count, row, columns)
+    return Layout(name, count, row, tuple(p for p, _ in properties), columns)

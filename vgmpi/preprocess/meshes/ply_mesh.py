@@ -6,7 +6,6 @@ References: Turk, The PLY polygon file format (1994).
 """
 
 import logging
-import re
 import struct
 import warnings
 from dataclasses import dataclass
@@ -14,17 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
+from vgmpi.gaussians.formats.ply_header import Layout, read_header
+
 from .triangle_mesh import COLOR_NAMES, Mesh, fans, unit_colors
 
 log = logging.getLogger("vgmpi")
 
-_HEADER_BYTES = 1 << 16  # [bytes] in which the header must end
-_TYPES = {
-    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
-    "ushort": "u2", "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
-    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
-}  # fmt: skip
-_ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 _CORNERS = ("vertex_indices", "vertex_index")
 _FORMAT = struct.Struct  # compiled format of one number
 
@@ -59,10 +53,14 @@ class _Rows:
 
 def read_ply(path: Path) -> Mesh:
     """Return the mesh of a .ply file. Raises ValueError, OSError."""
-    data = path.read_bytes()
-    order, is_text, elements, comments, offset = _header(data)
-    if is_text:  # as numbers of eight bytes it is read like the others
-        data, offset = _numbers_of_text(data[offset:]).tobytes(), 0
+    with open(path, "rb") as file:
+        header = read_header(file)
+        file.seek(0)
+        data = file.read()
+    order, offset = header.order, header.data_start
+    elements = [_element(layout) for layout in header.elements]
+    if order == "=":  # text: as numbers of eight bytes it is read like the others
+        data, order, offset = _numbers_of_text(data[offset:]).tobytes(), "<", 0
         elements = [_as_doubles(element) for element in elements]
     tables: dict[str, _Rows] = {}
     for element in elements:
@@ -71,49 +69,27 @@ def read_ply(path: Path) -> Mesh:
         raise ValueError("has no points: no element 'vertex' with x, y and z")
     vertex = tables["vertex"]
     points = np.stack([vertex.numbers[axis].astype(np.float64) for axis in "xyz"], axis=1)
-    if any(comment.startswith("TextureFile") for comment in comments):
+    if any(comment.startswith("TextureFile") for comment in header.comments):
         log.warning("%s: its picture is not read: only .obj meshes have textures", path)
     triangles, row = _triangles(tables.get("face"))
     colors = _colors(tables["face"]) if "face" in tables else None
     return Mesh(points, triangles, _colors(vertex), None, None if colors is None else colors[row])
 
 
-def _header(data: bytes) -> tuple[str, bool, list[_Element], list[str], int]:
-    """Return byte order, whether it is text, elements, comments and the offset of the data."""
-    if not data.startswith((b"ply\n", b"ply\r")):
-        raise ValueError("is no .ply file: it does not begin with 'ply'")
-    end = re.search(rb"[\r\n]end_header[ \t]*(\r\n|\n|\r)", data[:_HEADER_BYTES])
-    if end is None:
-        raise ValueError("its header has no end")
-    order, form, elements, comments = None, "", [], []
-    for line in data[: end.start()].decode("ascii", errors="replace").splitlines()[1:]:
-        match line.split():
-            case ["format", form, _] if form in _ORDERS:
-                order = _ORDERS[form]
-            case ["comment", *words]:
-                comments.append(" ".join(words))
-            case [] | ["obj_info", *_]:
-                pass
-            case ["element", name, count] if count.isdecimal() and len(count) <= 15:
-                elements.append(_Element(name, int(count), []))
-            case ["property", kind, name] if elements and kind in _TYPES:
-                kind = _TYPES[kind]
-                elements[-1].properties.append(_Property(name, kind, None, kind[0] != "f"))
-            case ["property", "list", count, kind, name] if (
-                elements and kind in _TYPES and _TYPES.get(count, "f")[0] != "f"
-            ):
-                elements[-1].properties.append(_Property(name, _TYPES[kind], _TYPES[count]))
-            case _:
-                raise ValueError(f"has the unreadable header line {line[:60]!r}")
-    if order is None:
-        raise ValueError("has no 'format' line")
-    for element in elements:
-        names = [each.name for each in element.properties]
-        if not names or len(set(names)) < len(names):
-            raise ValueError(f"has no or repeated properties in element '{element.name}'")
-    if len({element.name for element in elements}) < len(elements):
-        raise ValueError("names an element twice")
-    return order, form == "ascii", elements, comments, end.end()
+def _element(layout: Layout) -> _Element:
+    """Return an element as the header describes it.
+
+    Raises:
+        ValueError: If it has no properties.
+    """
+    if not layout.columns:
+        raise ValueError(f"has no properties in element '{layout.name}'")
+    properties = []
+    for name, column in zip(layout.names, layout.columns, strict=True):
+        count = column[0].str[1:] if len(column) > 1 else None
+        is_integer = count is None and column[0].kind in "iu"
+        properties.append(_Property(name, column[-1].str[1:], count, is_integer))
+    return _Element(layout.name, layout.row_count, properties)
 
 
 def _numbers_of_text(text: bytes) -> np.ndarray:
