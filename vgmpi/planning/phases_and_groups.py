@@ -206,7 +206,6 @@ def phases_of(
         ]
         for name in names
     }  # fmt: skip
-    sharing = {m for c in scene.coupling if c.rule != CONTACT for m in c.between}
     order = sorted(names, key=mastery)
     cell = scene.domain.cell**3
     return tuple(
@@ -219,12 +218,16 @@ def phases_of(
             max(densities[name]) * cell,
             all(surface[k] for k in members[name]),
             name in driven,
-            shares_space=any(
-                not sharing.isdisjoint(scene.materials_of(scene.things[k])) for k in members[name]
-            ),
+            shares_space=any(_shares_space(scene, k) for k in members[name]),
         )
         for name in names
     )
+
+
+def _shares_space(scene: Scene, k: int) -> bool:
+    """Return whether a coupling lets a body or an inlet lie in the same space as another."""
+    own = set(scene.materials_of(scene.things[k]))
+    return any(c.rule != CONTACT and not own.isdisjoint(c.between) for c in scene.coupling)
 
 
 def groups_of(
