@@ -85,10 +85,15 @@ def find_floaters(cloud: GaussianCloud) -> Floaters | None:
         cloud: Gaussians in the units of their file.
     """
     x, opacity = cloud.x, cloud.opacity
-    edge = _cube_edge(x, opacity)
-    if edge is None:
+    if len(x) <= NEIGHBORS or not opacity.sum() > 0:  # too few for clusters
         return None
-    middle = np.array([_weighted_quantiles(x[:, axis], opacity, 0.5) for axis in range(3)])
+    low, middle, high = np.stack(
+        [_weighted_quantiles(x[:, axis], opacity, (0.025, 0.5, 0.975)) for axis in range(3)], axis=1
+    )
+    extent = float((high - low).max())
+    if not extent > 0:
+        return None
+    edge = _cube_edge(x, extent)
     cells = _cubes(x, middle, edge)
     key, cube_of = np.unique(_keys(cells), return_inverse=True)
     cube_opacity = np.bincount(cube_of, opacity, len(key))
@@ -109,14 +114,8 @@ def find_floaters(cloud: GaussianCloud) -> Floaters | None:
     return Floaters(mask, share, np.stack([others.min(axis=0), others.max(axis=0)]))
 
 
-def _cube_edge(x: np.ndarray, opacity: np.ndarray) -> float | None:
-    """Return the edge of the cubes [file units]; None if a cloud is too small to have clusters."""
-    if len(x) <= NEIGHBORS or not opacity.sum() > 0:
-        return None
-    ends = [_weighted_quantiles(x[:, axis], opacity, (0.025, 0.975)) for axis in range(3)]
-    extent = max(float(high - low) for low, high in ends)
-    if not extent > 0:
-        return None
+def _cube_edge(x: np.ndarray, extent: float) -> float:
+    """Return the edge of the cubes for Gaussians at x (n, 3) [file units] of this extent."""
     sample = x[:: -(-len(x) // SAMPLES)]
     distance = scipy.spatial.cKDTree(x).query(sample, NEIGHBORS + 1)[0][:, -1]
     return max(extent / CUBES, 1.5 * float(np.median(distance)))
