@@ -123,6 +123,13 @@ CASES = {
 }
 
 
+@pytest.mark.xfail(strict=True, reason="grains at a separate wall miss the balance by 5e-6")
+def test_grains_at_a_wall_that_lets_go_are_the_balance(tmp_path):
+    run = vgmpi.run(scene(tmp_path, HEAP, PUSHES, "apic-corrected"))
+    print(f"off by {off(run):.1e} of the impulses")
+    assert off(run) < 1e-12
+
+
 @pytest.mark.parametrize("case", CASES)
 def test_all_together_are_the_balance(tmp_path, case):
     bodies, walls, transfer = CASES[case]
