@@ -24,7 +24,7 @@ TOPICS = {
     "Bodies in a liquid": "archimedes sphere wheel",
     "Contact": "bounce collision pairs plate free",
     "Friction": "incline tilted roll driven_plane",
-    "Prescribed motion and inlets": "driven inlet turning_box many_colliders",
+    "Prescribed motion and inlets": "driven inlet streams turning_box many_colliders",
     "Conservation": "conservation loads",
     "Color transport": "color_steps",
 }

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from tests.support.simulate import advance, begin, by_id
 from tests.support.small_scenes import scene
@@ -109,8 +110,8 @@ def test_density_of_sand_has_its_pores(tmp_path):
 
 
 def test_ids_and_times(tmp_path):
-    """Behind those of all objects, layer by layer; as many as are born in the run, or pass the
-    mouth before its end."""
+    """Behind those of all objects, as they pass the mouth; as many as are born in the run, or pass
+    the mouth before its end."""
     second = TAP.replace('"tap"', '"late"').replace("0.3]", "0.2]").replace(
         "speed = 1", 'speed = 1\nstart_time = "60 ms"\nend_time = "120 ms"'
     )  # fmt: skip
@@ -118,25 +119,55 @@ def test_ids_and_times(tmp_path):
     tap, late = made.sources
     assert (tap.entity, late.entity) == (1, 2)
     assert tap.first == made.count[0] == made.initial_particle_count
-    assert late.first == tap.first + tap.layers * 32 and made.particles == sum(made.count)
-    # k + 1/2 layers at a time: born until .2 s those with (k + .5) .01 - .04 <= .2
-    assert tap.layers == 24 and tap.spawn_time(23) <= 0.2 < tap.spawn_time(24)
-    assert late.layers == 6 and late.mouth_time(5) <= 0.12 < late.mouth_time(6)
-    assert tap.spawned_layers(0.0) == 4 and tap.passed_layers(0.0) == 0
-    assert late.spawned_layers(0.0) == 0 and late.passed_layers(0.1) == 4
+    assert late.first == tap.first + tap.particles and made.particles == sum(made.count)
+    # 32 particles in .01 s: born until .2 s are the layers k with (k + 1) .01 - .04 <= .2
+    assert tap.particles == 24 * 32 and tap.spawn_time(767) <= 0.2 < tap.spawn_time(768)
+    assert late.particles == 6 * 32 and late.mouth_time(191) <= 0.12 < late.mouth_time(192)
+    assert tap.spawned(0.0) == 4 * 32 and tap.passed(0.0) == 0
+    assert late.spawned(0.0) == 0 and late.passed(0.1) == 4 * 32
 
 
-def test_layers_are_counted_as_their_times_are(tmp_path):
+def test_the_flow_is_exact_to_a_particle(tmp_path):
+    """What has passed the mouth at any time, and what an end in the middle of a layer lets pass."""
+    cut = TAP.replace("speed = 1", "speed = 1\nend_time = 0.1234")
+    (tap,) = plan(tmp_path, cut).sources
+    assert abs(tap.particles - 0.1234 * 3200) <= 0.5
+    for time in np.linspace(0.0, 0.1234, 997):
+        assert abs(tap.passed(time) - time * 3200) <= 0.5 + 1e-9
+
+
+def greatest_plane(x):
+    """Largest part of the positions x (n,) [spacings] that one wave of .3 to 1.7 spacings finds in
+    phase: 1 where they are in planes."""
+    numbers = np.linspace(0.6, 3.4, 801)
+    return np.abs(np.exp(2j * np.pi * numbers[:, None] * x).mean(axis=1)).max()
+
+
+@pytest.mark.parametrize("per_cell", [1, 8, 27, 64])
+def test_a_stream_is_even_however_it_stretches(tmp_path, per_cell):
+    """Stretched by s along the flow and drawn in by s^-1/2 across it, as a liquid that falls is:
+    seen along the flow, its particles form no planes, and none comes close to another."""
+    inlet = TAP.replace("speed = 1", f"speed = 1\nparticles_per_cell = {per_cell}")
+    (tap,) = plan(tmp_path, inlet.replace("radius = 0.03", "radius = 0.045")).sources
+    n, h = len(tap.mouth), tap.spacing
+    x = tap.places(tap.first + np.arange(min(24 * n, tap.particles)), 0.0)
+    s = -(x[:, 0] - 0.1) / h
+    gaps = np.diff(np.sort(s))
+    np.testing.assert_allclose(gaps, 1 / n, rtol=1e-6)
+    assert greatest_plane(s) < 0.1
+    for stretch in (1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0):
+        inside = np.column_stack([stretch * s, (x[:, 1:] - 0.1) / h / stretch**0.5])
+        away = cKDTree(inside).query(inside, k=2)[0][:, 1]
+        assert away.min() > 0.45  # 2^(1/6) = 1.12 is the most that is possible
+
+
+def test_particles_are_counted_as_their_times_are(tmp_path):
     (tap,) = plan(tmp_path, TAP).sources
-    times = np.linspace(0, 0.3, 1001)
-    for k in range(tap.layers):  # and exactly when they are
-        times = np.append(times, [tap.spawn_time(k), tap.mouth_time(k), tap.release_time(k)])
-    for time in times:
-        assert tap.spawned_layers(time) == sum(tap.spawn_time(k) <= time for k in range(tap.layers))
-        assert tap.passed_layers(time) == sum(tap.mouth_time(k) <= time for k in range(tap.layers))
-        assert tap.released_layers(time) == sum(
-            tap.release_time(k) <= time for k in range(tap.layers)
-        )
+    every = np.arange(tap.particles)
+    events = (tap.spawn_time(every), tap.mouth_time(every), tap.release_time(every))
+    for time in np.concatenate([np.linspace(0, 0.3, 1001), *events]):  # also exactly when they are
+        counts = (tap.spawned(time), tap.passed(time), tap.released(time))
+        assert counts == tuple((event <= time).sum() for event in events)
 
 
 def test_a_scene_of_an_inlet_alone(tmp_path):
@@ -144,7 +175,49 @@ def test_a_scene_of_an_inlet_alone(tmp_path):
     text = TANK[: TANK.index("[[object]]")] + TAP + "start_time = 0.1\n"
     loaded = scene(tmp_path, text)
     made = plan_for(loaded, known_of(loaded, build_scene(loaded)))
-    assert made.initial_particle_count == 0 and made.sources[0].spawned_layers(0.0) == 0
+    assert made.initial_particle_count == 0 and made.sources[0].spawned(0.0) == 0
+
+
+BESIDE = """
+[accuracy]
+precision = "double"
+[domain]
+size = [WIDE, 0.4, 0.4]
+cell = 0.05
+[time]
+end = 0.05
+[material.water]
+kind = "fluid"
+tait_coefficient = 2e4
+[[inlet]]
+name = "tap"
+material = "water"
+rectangle = { center = [0.2, 0.3, 0.2], width = 0.2, height = 0.2 }
+direction = "-x"
+speed = 1
+"""
+TOUCHED = {  # what ends at x = 0.3: the nozzle ends at 0.2 + 0.1, which is 0.30000000000000004
+    "a wall": "",
+    "an outlet": '[[outlet]]\nname = "hole"\nshape = { box = [[0.3, 0, 0], [0.4, 0.4, 0.4]] }\n',
+    "a collider": '[[object]]\nname = "block"\nrole = "scenery"\ncollider = true\n'
+    "shape = { box = [[0.3, 0, 0], [0.4, 0.4, 0.4]] }\n",
+    "an inlet": '[[inlet]]\nname = "next"\nmaterial = "water"\ndirection = "-x"\nspeed = 1\n'
+    "rectangle = { center = [0.3, 0.3, 0.2], width = 0.2, height = 0.2 }\n",
+}
+
+
+@pytest.mark.parametrize("touched", TOUCHED)
+def test_a_nozzle_may_end_where_something_begins(tmp_path, touched):
+    """Rounding does not decide, and what comes is there from the start on."""
+    text = BESIDE.replace("WIDE", "0.3" if touched == "a wall" else "0.5") + TOUCHED[touched]
+    simulation, _ = begin(tmp_path, text)
+    tap = simulation.plan.sources[0]
+    advance(simulation, 0.02)
+    ids, x = by_id(simulation, "id", "x")
+    came = x[(ids >= tap.first) & (ids < tap.first + tap.particles)]
+    assert len(came) == tap.spawned(0.02) and came[:, 0].max() < 0.3
+    with pytest.raises(ValueError, match="two cells behind its mouth|lies in"):
+        build_scene(scene(tmp_path, text.replace("[0.2, 0.3, 0.2]", "[0.2002, 0.3, 0.2]")))
 
 
 def test_no_inlet_no_trace(tmp_path):
@@ -165,17 +238,14 @@ def test_extending_needs_an_end(tmp_path):
     (tmp_path / "ends").mkdir()
     known = known_of(one := scene(tmp_path / "ends", ends), build_scene(one))
     longer = scene(tmp_path / "longer", ends.replace("end = 0.2", "end = 0.4"))
-    assert plan_for(longer, known).sources[0].layers == 15
+    assert plan_for(longer, known).sources[0].particles == 15 * 32
 
 
 def carried(simulation):
     """Which rows of `by_id` are in a nozzle, of the only inlet."""
     (inlet,) = simulation.plan.sources
     (ids,) = by_id(simulation, "id")
-    n, now = len(inlet.mouth), simulation.time
-    first, last = (
-        inlet.first + n * by(now) for by in (inlet.released_layers, inlet.spawned_layers)
-    )
+    first, last = (inlet.first + by(simulation.time) for by in (inlet.released, inlet.spawned))
     return (ids >= first) & (ids < last)
 
 
@@ -188,7 +258,7 @@ def test_what_is_carried_has_the_flow_and_the_state_of_rest(tmp_path):
         for _ in range(2):
             v, C, J, vol0 = by_id(simulation, "v", "C", "J", "vol0")
             here = carried(simulation)
-            assert here.sum() == 3 * 32  # of four layers the first is .25 cells from the mouth
+            assert here.sum() == 115  # of four layers 13 particles are .2 cells from the mouth
             np.testing.assert_allclose(v[here] - want, 0.0, atol=1e-15)
             assert (C[here] == 0).all() and (J[here] == 1).all()
             np.testing.assert_allclose(vol0[here], 1e-6, rtol=1e-14)

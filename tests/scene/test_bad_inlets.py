@@ -182,9 +182,9 @@ BUILD_CASES = {
     ),
     "an end too early": (
         'speed = "1 m/s"',
-        'speed = "1 m/s"\nend_time = "1 ms"',
+        'speed = "1 m/s"\nend_time = "0.1 ms"',
         "inlet.tap.end_time",
-        "it ends before the first layer has passed its mouth",
+        "it ends before the first particle has passed its mouth",
     ),
     "too many": (
         'speed = "1 m/s"',

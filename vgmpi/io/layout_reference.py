@@ -112,7 +112,8 @@ def page() -> str:
         _table(file_layout.SERIES_OWN),
         "## gaussians.h5\n",
         "One row per particle id, including particles that enter later; frames contain the present "
-        "ones. Objects are contiguous, in the order of the scene; inlets follow, layer by layer.\n",
+        "ones. Objects are contiguous, in the order of the scene; inlets follow, the particles of "
+        "each in the order in which they pass its mouth.\n",
         _table(file_layout.GAUSSIAN),
         "Scenery, rendered but without mass (only if the scene has scenery):\n",
         _table(file_layout.SCENERY, "scenery/"),

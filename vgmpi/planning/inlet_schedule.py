@@ -1,7 +1,8 @@
 """Schedule of inlets by times and ids alone, and regions of outlets.
 
-A layer of an inlet's lattice (scene/inlet_geometry.py) is spawned at the far end of the nozzle,
-carried along, released, and passes the mouth.
+The particles of an inlet (scene/inlet_geometry.py) are numbered as they pass the mouth, one by one
+at equal intervals. A layer of them, one per column, is spawned at once at the far end of the
+nozzle. Each particle is carried along, released, and passes the mouth at its own time.
 """
 
 import math
@@ -16,31 +17,32 @@ from vgmpi.scene.sections import WALLS
 from vgmpi.scene.shapes import Shape
 
 OPEN_WALL_DEPTH_CELLS = 4  # [cells] depth of an open wall's region; no particle is farther out
-# RELEASE_OFFSET_CELLS is the distance before the mouth [cells] at which a layer is released. The
-# layers behind it share its nodes and do not fall; they hold it up for as long (measured: 0.26 to
-# 0.35 cells at 2.5 to 0.5 m/s).
-RELEASE_OFFSET_CELLS = 0.3
-MAX_LAYERS = 2.0**40  # layer numbers up to this are exact in the products that give their times
+# RELEASE_OFFSET_CELLS is the distance before the mouth [cells] at which a particle is released.
+# Those behind it share its nodes and do not fall; they hold it up for as long (measured: 0.13 to
+# 0.20 cells at 0.6 to 2.5 m/s).
+RELEASE_OFFSET_CELLS = 0.2
+MAX_PARTICLES = 2.0**40  # numbers up to this are exact in the products that give their times
+TIE_LAYERS = 1e-6  # [layers] by which rounding may keep one from the end of the run it is due at
 
 
 class InletPlan(NamedTuple):
     """Plan of an inlet.
 
-    Layer k holds the ids first + k n .. first + (k + 1) n - 1 with n = len(mouth).
+    Particle m has the id first + m and the place m modulo len(mouth) in the mouth.
     """
 
     name: str
     entity: int  # row among objects and inlets; inlets follow the objects
     group: int
     first: int  # first id
-    mouth: np.ndarray  # (n, 3) [m] positions of a layer's particles in the mouth
+    mouth: np.ndarray  # (n, 3) [m] positions of a layer's particles in the mouth, as they pass it
     direction: tuple[float, float, float]  # unit vector
     speed: float  # [m/s]
-    spacing: float  # [m] of the lattice
+    spacing: float  # [m] along the columns
     ahead: int  # number of layers in the nozzle
-    layers: int  # number of layers that ever come
+    particles: int  # number of particles that ever come
     start: float  # [s]
-    early: float  # [s] from the release of a layer until it passes the mouth
+    early: float  # [s] from the release of a particle until it passes the mouth
     color: tuple[float, float, float]
 
     @property
@@ -58,33 +60,33 @@ class InletPlan(NamedTuple):
         """Rest volume of a particle [m3]."""
         return self.spacing**3
 
-    def mouth_time(self, layer):
-        """Return the times at which layers pass the mouth [s]."""
-        return self.start + (layer + 0.5) * self.period
+    def mouth_time(self, number):
+        """Return the times at which particles pass the mouth [s], by their numbers."""
+        return self.start + (number + 0.5) * (self.period / len(self.mouth))
 
-    def spawn_time(self, layer):
-        """Return the times at which layers are spawned [s]."""
-        return self.mouth_time(layer) - self.ahead * self.period
+    def spawn_time(self, number):
+        """Return the times at which particles are spawned [s]: their layer fits into the nozzle."""
+        return self.start + (number // len(self.mouth) + 1 - self.ahead) * self.period
 
-    def release_time(self, layer):
-        """Return the times at which layers are released [s]; from then on they move freely."""
-        return self.mouth_time(layer) - self.early
+    def release_time(self, number):
+        """Return the times at which particles are released [s]; from then on they move freely."""
+        return self.mouth_time(number) - self.early
 
-    def spawned_layers(self, time: float) -> int:
-        """Return the number of layers spawned up to and including a time [s]."""
+    def spawned(self, time: float) -> int:
+        """Return the number of particles spawned up to and including a time [s]."""
         return self._by(time, self.spawn_time)
 
-    def passed_layers(self, time: float) -> int:
-        """Return the number of layers that have passed the mouth up to and including a time [s]."""
+    def passed(self, time: float) -> int:
+        """Return the number of particles that passed the mouth up to and including a time [s]."""
         return self._by(time, self.mouth_time)
 
-    def released_layers(self, time: float) -> int:
-        """Return the number of layers released up to and including a time [s]."""
+    def released(self, time: float) -> int:
+        """Return the number of particles released up to and including a time [s]."""
         return self._by(time, self.release_time)
 
     def _by(self, time: float, when) -> int:
-        """Return the number of layers k with when(k) <= time; `when` ascends."""
-        low, high = 0, self.layers
+        """Return the number of particles m with when(m) <= time; `when` does not descend."""
+        low, high = 0, self.particles
         while low < high:
             middle = (low + high) // 2
             if when(middle) <= time:
@@ -99,9 +101,10 @@ class InletPlan(NamedTuple):
         They are computed number by number: the rounding of a matrix product may depend on its
         shape.
         """
-        layer, point = np.divmod(ids - self.first, len(self.mouth))
-        displacement = self.speed * (time - self.mouth_time(layer))
-        return self.mouth[point] + displacement[:, None] * np.array(self.direction)
+        number = ids - self.first
+        displacement = self.speed * (time - self.mouth_time(number))
+        mouth = self.mouth[number % len(self.mouth)]
+        return mouth + displacement[:, None] * np.array(self.direction)
 
 
 class OutletPlan(NamedTuple):
@@ -124,24 +127,20 @@ def inlet_speed(scene: Scene, source: Inlet) -> float:
     return source.mass_flow_rate / (scene.material[source.material].bulk_density * area)
 
 
-def layer_count(scene: Scene, source: Inlet) -> int:
-    """Return the number of layers of an inlet.
+def particle_count(scene: Scene, source: Inlet) -> int:
+    """Return the number of particles of an inlet.
 
-    These are the layers that pass the mouth until the inlet ends, of those spawned during the run.
-    The particles that enter up to some time do not depend on when the run ends.
+    These are the particles that pass the mouth until the inlet ends, of those spawned during the
+    run. The particles that enter up to some time do not depend on when the run ends.
     """
+    n = len(inlet_geometry.inlet_points(source, scene.domain.cell))
     period = inlet_geometry.spacing(source, scene.domain.cell) / inlet_speed(scene, source)
-    spawned = (
-        (scene.time.end - source.start_time) / period
-        + inlet_geometry.layers_in_nozzle(source)
-        + 0.5
-    )
-    count = (
-        spawned
-        if source.end_time is None
-        else min(spawned, (source.end_time - source.start_time) / period + 0.5)
-    )
-    return max(0, math.floor(min(count, MAX_LAYERS)))
+    layers = (scene.time.end - source.start_time) / period
+    layers += inlet_geometry.layers_in_nozzle(source) + TIE_LAYERS
+    count = n * math.floor(min(layers, MAX_PARTICLES))
+    if source.end_time is not None:
+        count = min(count, math.floor(n * (source.end_time - source.start_time) / period + 0.5))
+    return max(0, min(count, int(MAX_PARTICLES)))
 
 
 def outlet_plans(scene: Scene) -> tuple[OutletPlan, ...]:
@@ -172,18 +171,18 @@ def inlet_plans(scene: Scene, group_of: tuple, count: list[int]) -> tuple[InletP
         count: Prepared particles of each object and inlet.
 
     Raises:
-        SceneError: An inlet needs more layers than are prepared. A resumed run can only insert
+        SceneError: An inlet needs more particles than are prepared. A resumed run can only insert
             particles that it prepared at its start.
     """
     plans, errors = [], []
     objects, dx = len(scene.object), scene.domain.cell
     for k, source in enumerate(scene.inlet, objects):
         mouth = inlet_geometry.inlet_points(source, dx)
-        ready, needed = int(count[k]) // len(mouth), layer_count(scene, source)
+        ready, needed = int(count[k]), particle_count(scene, source)
         if needed > ready:
             message = (
-                f"inlet '{source.name}' has particles kept ready for {ready} layers, this asks"
-                f" for {needed}: a run with an inlet that does not end cannot be extended"
+                f"inlet '{source.name}' has {ready:,} particles kept ready, this asks for"
+                f" {needed:,}: a run with an inlet that does not end cannot be extended"
             )
             errors.append((("time", "end"), message))
         fast = inlet_speed(scene, source)

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from vgmpi.planning.inlet_schedule import inlet_speed, layer_count, outlet_plans
+from vgmpi.planning.inlet_schedule import inlet_speed, outlet_plans, particle_count
 from vgmpi.planning.phases_and_groups import phases_with_surface
 from vgmpi.runtime import memory_budget
 from vgmpi.scene import inlet_geometry
@@ -35,25 +35,25 @@ def require_inlet_memory(scene: Scene) -> None:
             memory_budget.require_memory(
                 per_layer * bytes_each, f"a layer of inlet '{source.name}' has at least"
             )
-            count = per_layer * layer_count(scene, source)
+            count = particle_count(scene, source)
             message = f"inlet '{source.name}' makes {count:.3g} particles until it ends: at least"
             memory_budget.require_memory(count * bytes_each, message)
         except memory_budget.InsufficientMemoryError as error:
             raise scene.error([(("inlet", k), str(error))]) from None
-        if not layer_count(scene, source):
-            message = "nothing comes: it ends before the first layer has passed its mouth"
+        if not count:
+            message = "nothing comes: it ends before the first particle has passed its mouth"
             raise scene.error(
                 [(("inlet", k, "end_time" if source.end_time else "start_time"), message)]
             )
 
 
 def reserve_inlet_particles(scene: Scene) -> list[BuiltObject]:
-    """Return all particles that may come out of each inlet, at its mouth, layer after layer."""
+    """Return all particles that may come out of each inlet, at its mouth, as they pass it."""
     dx, identity = scene.domain.cell, SimilarityTransform(np.eye(3), 1.0, np.zeros(3))
     reserved = []
     for source in scene.inlet:
         h = inlet_geometry.spacing(source, dx)
-        x = np.tile(inlet_geometry.inlet_points(source, dx), (layer_count(scene, source), 1))
+        x = np.resize(inlet_geometry.inlet_points(source, dx), (particle_count(scene, source), 3))
         rgb = np.tile(np.asarray(source.color, float), (len(x), 1))
         cloud = isotropic_gaussians(x, h, rgb, source.opacity)
         reserved.append(BuiltObject(cloud, np.full(len(x), h**3), identity))
@@ -125,9 +125,9 @@ def _blocked(
         colliders: Colliders at the start.
     """
     source, dx = scene.inlet[k], scene.domain.cell
-    key = source.opening_kind
+    key, within = source.opening_kind, -inlet_geometry.TOUCH_TOLERANCE_CELLS * dx
     for collider in colliders:
-        if (collider.distance(points) < 0).any():
+        if (collider.distance(points) < within).any():
             yield key, f"lies inside the collider '{collider.name}'"
     for name, x in bodies.items():
         if _inside(source, dx, x).any():
@@ -136,7 +136,7 @@ def _blocked(
         if _inside(other, dx, points).any():
             yield key, f"lies in the nozzle of inlet '{other.name}'"
     for sink in outlet_plans(scene):
-        if (distance(sink.shape, points) < 0).any():
+        if (distance(sink.shape, points) < within).any():
             yield key, f"lies in the outlet '{sink.name}': nothing would come"
 
 
@@ -152,11 +152,12 @@ def _nozzle(source: Inlet, dx: float) -> np.ndarray:
 
 
 def _inside(source: Inlet, dx: float, x: np.ndarray) -> np.ndarray:
-    """Return which points x (n, 3) [m] lie in the inlet's nozzle, shape (n,)."""
+    """Return which points x (n, 3) [m] lie in the inlet's nozzle, shape (n,); not on its ends."""
     e_u, e_v, along = inlet_geometry.orthonormal_frame(source)
     a, b = inlet_geometry.extent(source)
-    h = inlet_geometry.spacing(source, dx)
+    length = inlet_geometry.layers_in_nozzle(source) * inlet_geometry.spacing(source, dx)
+    end = inlet_geometry.TOUCH_TOLERANCE_CELLS * dx
     local = x - np.array(source.opening.center)
     u, v, s = ((local * axis).sum(axis=1) for axis in (e_u, e_v, along))
     across = u * u + v * v < a * a if source.disc else (np.abs(u) < a) & (np.abs(v) < b)
-    return across & (s < 0) & (s > -inlet_geometry.layers_in_nozzle(source) * h)
+    return across & (s < -end) & (s > end - length)

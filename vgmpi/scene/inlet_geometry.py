@@ -1,7 +1,9 @@
 """Lattice of particles of an inlet.
 
-Lattice points are (i + 1/2) h, (j + 1/2) h in the frame of the mouth, inside its opening, one layer
-after the other every h along its direction: every particle has the rest volume h^3.
+Columns of particles stand at (i + 1/2) h, (j + 1/2) h in the frame of the mouth, inside its
+opening. The particles of a column are h apart along the direction, so that every particle has the
+rest volume h^3. No two columns are at the same height: a layer of one particle per column is
+spread evenly over h along the flow (`inlet_points`).
 """
 
 import math
@@ -14,6 +16,8 @@ from vgmpi.runtime.config.schema import Point, Positive, StrictModel
 NOZZLE_CELLS = 2  # [cells] length of the nozzle behind the mouth
 VERTICAL = 1e-12  # [-] largest horizontal part of a vertical direction
 RELATIVE_RIM_MARGIN = 1e-9  # [-] of the size: margin that puts points on the rim outside
+TOUCH_TOLERANCE_CELLS = 1e-6  # [cells] by which rounding may move a nozzle beyond what it touches
+PLASTIC_NUMBER = 1.32471795724474602596  # [-] the real solution of p^3 = p + 1
 
 
 class Disc(StrictModel):
@@ -98,20 +102,31 @@ def per_layer(source: Opening, dx: float) -> float:
 
 
 def inlet_points(source: Opening, dx: float) -> np.ndarray:
-    """Return the points (n, 3) [m] of a layer at the mouth, row by row."""
+    """Return the points (n, 3) [m] of a layer at the mouth, in the order in which they pass it.
+
+    The order is that of the fractional part of i / p + j / p^2 with the plastic number p. 1, 1/p
+    and 1/p^2 are badly approximable, so no stretch of the stream along the flow, with the
+    contraction across that belongs to it, brings the particles into planes or close together.
+
+    Args:
+        source: The inlet.
+        dx: Cell size [m].
+    """
     h, (a, b), (e_u, e_v, _) = spacing(source, dx), extent(source), orthonormal_frame(source)
-    i, j = (_centered(size, h) for size in (a, b))
-    u, v = (part.ravel() for part in np.meshgrid(i, j, indexing="ij"))
+    i, j = (part.ravel() for part in np.meshgrid(_columns(a, h), _columns(b, h), indexing="ij"))
+    u, v = (i + 0.5) * h, (j + 0.5) * h
     if source.disc is not None:
         inside = u * u + v * v < (a * (1 - RELATIVE_RIM_MARGIN)) ** 2
-        u, v = u[inside], v[inside]
-    return np.array(source.opening.center) + u[:, None] * e_u + v[:, None] * e_v
+        i, j, u, v = i[inside], j[inside], u[inside], v[inside]
+    order = np.argsort((i / PLASTIC_NUMBER + j / PLASTIC_NUMBER**2) % 1.0, kind="stable")
+    u, v = u[order, None], v[order, None]
+    return np.array(source.opening.center) + u * e_u + v * e_v
 
 
-def _centered(half: float, h: float) -> np.ndarray:
-    """Return the points (i + 1/2) h within `half` [m] on both sides of the center."""
+def _columns(half: float, h: float) -> np.ndarray:
+    """Return the integers i of the points (i + 1/2) h within `half` [m] of the center."""
     count = math.ceil(half * (1 - RELATIVE_RIM_MARGIN) / h - 0.5)
-    return (np.arange(-count, count) + 0.5) * h
+    return np.arange(-count, count)
 
 
 def bounding_box(source: Opening, dx: float) -> tuple[np.ndarray, np.ndarray]:

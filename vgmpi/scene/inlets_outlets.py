@@ -7,7 +7,14 @@ from pydantic import BeforeValidator
 
 from vgmpi.runtime.config.schema import Color, Quantity, Share, StrictModel
 
-from .inlet_geometry import Disc, Rectangle, bounding_box, spacing, too_small
+from .inlet_geometry import (
+    TOUCH_TOLERANCE_CELLS,
+    Disc,
+    Rectangle,
+    bounding_box,
+    spacing,
+    too_small,
+)
 from .objects import checked_name, default_alpha_min, per_cell, validate_exactly_one
 from .sections import Domain
 from .shapes import Axis, Shape, validate_shape
@@ -20,8 +27,9 @@ SECTIONS_NEEDED = ("domain", "time")
 class Inlet(StrictModel):
     """Inlet: one of disc, rectangle, and one of speed, mass_flow_rate, volume_flow_rate.
 
-    A nozzle two cells long lies upstream of the mouth, inside the domain. Its particles move with
-    the prescribed velocity and are released 0.3 cells before the mouth.
+    A nozzle two cells long lies upstream of the mouth, inside the domain; it may end on a wall. Its
+    particles move with the prescribed velocity. They are released one by one, 0.2 cells before the
+    mouth.
     """
 
     name: Annotated[str, BeforeValidator(checked_name)]
@@ -145,7 +153,8 @@ def _validate_nozzle(inlet: Inlet, domain: Domain) -> list[tuple[tuple, str]]:
             )
         ]
     low, high = bounding_box(inlet, domain.cell)
-    outside = (low < 0) | (high > domain.size)
+    tolerance = TOUCH_TOLERANCE_CELLS * domain.cell
+    outside = (low < -tolerance) | (high > np.array(domain.size) + tolerance)
     if not outside.any():
         return []
     a = int(np.argmax(outside))

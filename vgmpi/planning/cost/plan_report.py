@@ -164,7 +164,7 @@ def _flows(plan: Plan) -> list[str]:
     """Return the lines on inlets and outlets; memory and time include all that enters."""
     lines = [
         f"  inlet       {escape_control_characters(source.name)}:"
-        f" {source.layers * len(source.mouth):,} particles,"
+        f" {source.particles:,} particles,"
         f" {len(source.mouth)} every {source.period:.4g} s, at {source.speed:.4g} m/s:"
         f" {_flow(plan, source):.4g} kg/s"
         for source in plan.sources

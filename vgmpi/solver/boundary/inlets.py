@@ -1,9 +1,9 @@
-"""Emission by inlets: layers of particles are spawned, carried to the mouth, and released.
+"""Emission by inlets: particles are spawned by layers, carried to the mouth, released one by one.
 
 The place of a particle in a nozzle follows from its id and the time alone
 (planning/inlet_schedule.py), so a release suits the particle at any time, on any number of ranks
 and after a restart. Until its release a particle has the inlet's velocity and the reference state,
-whatever the grid says. It is released a little before the mouth (EARLY of
+whatever the grid says. It is released a little before the mouth (RELEASE_OFFSET_CELLS of
 planning/inlet_schedule.py), so that its fall begins there.
 """
 
@@ -63,7 +63,7 @@ class Sources:
             group, v = plan.groups[source.group], source.velocity[None]
             limits = bounds(plan, group, [group.rest], v, np.zeros((1, 9)))
             self.active_bounds = np.maximum(self.active_bounds, limits)
-        self.last_passage = max(source.mouth_time(source.layers - 1) for source in plan.sources)
+        self.last_passage = max(source.mouth_time(source.particles - 1) for source in plan.sources)
 
     def merge_bounds(self, limits: np.ndarray, time: float) -> np.ndarray:
         """Merge bounds (rate, speed, turn, stress) of the particles with those of active inlets."""
@@ -73,13 +73,13 @@ class Sources:
         """Locate the particles in the nozzles."""
         self.carried = []
         for source in self.plan.sources:
-            n, group = len(source.mouth), groups[source.group]
-            first = source.first + source.released_layers(time) * n
-            last = source.first + source.spawned_layers(time) * n
+            group = groups[source.group]
+            first = source.first + source.released(time)
+            last = source.first + source.spawned(time)
             indices = group.index()
             indices = indices[(group.ids[indices] >= first) & (group.ids[indices] < last)]
             block, ids = group.block[group.segment_of(indices)], group.ids[indices]
-            let_go = source.release_time((ids - source.first) // n)
+            let_go = source.release_time(ids - source.first)
             self.carried.append(_Carried(source, group, indices, block, ids, let_go))
 
     def advect_nozzle(self, report: StepReport, time: float) -> StepReport:
@@ -133,12 +133,12 @@ class Sources:
 
     def due(self, before: float | None, time: float) -> bool:
         """Return whether a layer is spawned after `before` [s] (None: the start), up to `time`."""
-        return any(first < last for first, last in self._layers(before, time))
+        return any(first < last for first, last in self._spans(before, time))
 
-    def _layers(self, before: float | None, time: float) -> list[tuple[int, int]]:
-        """Return the half-open range of layers that each inlet spawns in the interval."""
+    def _spans(self, before: float | None, time: float) -> list[tuple[int, int]]:
+        """Return the half-open range of particles that each inlet spawns in the interval."""
         return [
-            (0 if before is None else source.spawned_layers(before), source.spawned_layers(time))
+            (0 if before is None else source.spawned(before), source.spawned(time))
             for source in self.plan.sources
         ]
 
@@ -146,13 +146,12 @@ class Sources:
         """Return the particles spawned in the interval, all on rank 0; a sort distributes them."""
         if self.ranks.rank != 0:
             return []
-        spans = zip(self.plan.sources, self._layers(before, time), strict=True)
+        spans = zip(self.plan.sources, self._spans(before, time), strict=True)
         return [self._rows(source, *span, time) for source, span in spans if span[0] < span[1]]
 
     def _rows(self, source: InletPlan, first: int, last: int, time: float) -> ParticleRows:
-        """Return the particles of the layers `first` to `last` (exclusive) of an inlet."""
-        n = len(source.mouth)
-        ids = source.first + np.arange(first * n, last * n)
+        """Return the particles with the numbers `first` to `last` (exclusive) of an inlet."""
+        ids = source.first + np.arange(first, last)
         v = np.tile(source.velocity, (len(ids), 1))
         sh = np.zeros((len(ids), self._coefficients(), 3))
         sh[:, 0] = dc_from_rgb(np.array(source.color)).astype(np.float32)  # single, as in files

@@ -84,7 +84,7 @@ def work_of(plan: Plan) -> Callable[[float], float]:
 
     def particles(time: float) -> float:
         """Return the particles of a step at a time [s]."""
-        spawned = sum(len(source.mouth) * source.spawned_layers(time) for source in plan.sources)
+        spawned = sum(source.spawned(time) for source in plan.sources)
         return float(plan.initial_particle_count + spawned)
 
     return particles
