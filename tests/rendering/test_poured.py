@@ -1,6 +1,8 @@
 """Frames hold the particles that are there, gaussians.h5 all that may come: a picture takes its
 rows by their ids."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,10 @@ from vgmpi.io import csv_log
 from vgmpi.io.run_reader import RunReader, inspect
 from vgmpi.rendering.appearance import Appearance
 from vgmpi.rendering.render_config import LookSettings
+from vgmpi.rendering.studio.lattice_deformation import stretches
+from vgmpi.rendering.studio_bodies import tearing
+from vgmpi.rendering.studio_renderer import STREAM_STRETCH
+from vgmpi.scene import inlet_geometry
 
 SCENE = """
 [accuracy]
@@ -73,3 +79,27 @@ def test_files_are_whole(run):
         assert row["particles_in"] - row["particles_out"] == row["particles"]
     assert row["particles_out"] > 0
     assert run.objects[1]["role"] == "source" and run.objects[1]["row_count"] > 0
+
+
+@pytest.mark.parametrize("direction", [[1, 0, 0], [1, 0, 1]])
+def test_the_studio_knows_how_a_stream_is_drawn_out(tmp_path, direction):
+    """Kernels of a stream that is drawn out sixfold have its stretch, those at its rim too."""
+    text = SCENE.replace('direction = "x"', f"direction = {direction}")
+    tap = scene(tmp_path, text).inlet[0]
+    mouth, h = inlet_geometry.inlet_points(tap, 0.02), inlet_geometry.spacing(tap, 0.02)
+    n, stretch, along = len(mouth), 6.0, np.array(tap.direction)
+    count = 20 * n
+    x0, ids = np.resize(mouth, (count, 3)), np.arange(count)
+    entry = {"role": "source", "family": "fluid"}
+    look = SimpleNamespace(
+        run=SimpleNamespace(gaussians=SimpleNamespace(x0=x0, v0=0 * x0 + along, object=0 * ids)),
+        vol0=np.full(count, h**3), object=0 * ids, objects=[entry],
+    )  # fmt: skip
+    x = (x0 - tap.disc.center) / stretch**0.5
+    x = x - np.outer(stretch * h * (ids + 0.5) / n, along)
+    torn, links = tearing(look, (2.0, 3.0))
+    found = stretches(x, ids, ids, links, np.full(count, h), torn, *STREAM_STRETCH)
+    V = stretch**-0.5 * (np.eye(3) - np.outer(along, along)) + stretch * np.outer(along, along)
+    wanted = V[np.triu_indices(3)]
+    inner = slice(2 * n, -2 * n)
+    assert np.abs(found[inner] - wanted).max() < 0.02 * stretch

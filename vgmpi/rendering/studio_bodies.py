@@ -72,8 +72,11 @@ def tearing(
             continue
         s = float(np.median(spacing[members]))
         limits = TEAR_LIMITS if family == "fluid" else tear
-        tearing_distance[members] = lattice_deformation.tearing_distance(x0[members], s, *limits, k)
-        links = lattice_deformation.link(x0[members], s)
+        reference = x0[members]
+        if entry.get("role") == "source" and gaussians.v0 is not None:
+            reference = upstream_positions(reference, np.asarray(gaussians.v0)[members], s)
+        tearing_distance[members] = lattice_deformation.tearing_distance(reference, s, *limits, k)
+        links = lattice_deformation.link(reference, s)
         axes[members] = np.where(links.axes >= 0, members[links.axes], -1)
         row[members] = np.where(links.row >= 0, links.row + linked_count, -1)
         nearest.append(members[links.nearest].astype(np.int32))
@@ -84,6 +87,23 @@ def tearing(
     )
 
 
+def upstream_positions(mouth: np.ndarray, velocity: np.ndarray, spacing: float) -> np.ndarray:
+    """Return positions (n, 3) [m] of an inlet's particles in a stream that nothing has deformed.
+
+    It is the stream behind the mouth when the first particle passes. Particles pass one by one, at
+    equal intervals, and those that pass at the same place are a spacing apart.
+
+    Args:
+        mouth: Positions in the mouth in the order of passing, shape (n, 3) [m].
+        velocity: Velocities there, shape (n, 3) [m/s].
+        spacing: Spacing of the particles [m].
+    """
+    repeats = np.flatnonzero((mouth == mouth[0]).all(axis=1))
+    per_layer = repeats[1] if len(repeats) > 1 else len(mouth)
+    direction = velocity[0] / max(float(np.linalg.norm(velocity[0])), 1e-300)
+    return mouth - np.outer(spacing / per_layer * np.arange(len(mouth)), direction)
+
+
 class Bodies:
     """Material of each particle, and rest normals of opaque bodies."""
 
@@ -91,9 +111,11 @@ class Bodies:
         self.look = look
         gaussians, objects = look.run.gaussians, look.objects
         family = [entry.get("family") for entry in objects]
+        from_inlet = [entry.get("role") == "source" for entry in objects]
         captured = is_capture(look.run, objects)
         object_ids = look.object
         self.fluid = np.array([f == "fluid" for f in family] or [False])[object_ids]
+        self.from_inlet = np.array(from_inlet or [False])[object_ids]
         self.granular = np.array([f in GRANULAR for f in family] or [False])[object_ids]
         self.sandy = np.array([f == "sand" for f in family] or [False])[object_ids]
         self.captured = captured[object_ids]

@@ -50,6 +50,7 @@ PREVIEW_STRIDE = 2  # [frames] stride of the foam of a preview
 PREVIEW_RESOLUTION = 0.75  # [-] relative resolution of grids in a preview
 EDGE_OVERSAMPLING = 2  # [-] oversampling of opaque bodies if edges are refined
 STRETCH = 0.4, 3.0  # [-] limits for the kernels of liquids
+STREAM_STRETCH = 0.3, 8.0  # [-] of those from inlets, whose streams are drawn out as they fall
 SPEED_MAX = 1e4  # [m/s]
 GRAIN_STRETCH = 0.8, 3.2
 
@@ -200,7 +201,9 @@ class Studio:
         values = optical_values(color, captured, opaqueness, white, clear, self.chosen, self.rig)
         walls, box = self.domain.walls, self.domain.box
         inside = density_field.interior(x[rows], spacing, values, box, walls)
-        stretch = self._stretches(x, ids, rows, STRETCH)
+        from_inlet = bodies.from_inlet[ids[rows]]
+        limits = [np.where(from_inlet, *pair) for pair in zip(STREAM_STRETCH, STRETCH, strict=True)]
+        stretch = self._stretches(x, ids, rows, limits)
         fine = chosen.cells_per_spacing * (PREVIEW_RESOLUTION if self.quick else 1.0)
         density = density_field.liquid_field(x[rows], spacing, stretch, inside, box, walls, fine)
         uniform = bool((np.ptp(values[:, :3], axis=0) < 1e-3 * values[:, :3].max()).all())

@@ -130,8 +130,8 @@ def stretches(
     links: Links,
     spacing: np.ndarray,
     torn: np.ndarray,
-    low: float,
-    high: float,
+    low: float | np.ndarray,
+    high: float | np.ndarray,
 ) -> np.ndarray:
     """Return symmetric stretch tensors of the lattice around particles.
 
@@ -142,8 +142,8 @@ def stretches(
         links: Reference neighbors.
         spacing: Spacing of each particle's lattice, shape (n,) [m].
         torn: Distance at which its lattice is torn, shape (n,) [m].
-        low: Smallest principal stretch.
-        high: Largest principal stretch.
+        low: Smallest principal stretch, one or of each present particle (m,).
+        high: Largest principal stretch, likewise.
 
     Returns:
         Upper triangles of V with A = V R and principal stretches within low .. high, shape (m, 6).
@@ -151,7 +151,7 @@ def stretches(
     out = np.empty((len(x), 6))
     _stretches(
         np.ascontiguousarray(x, dtype=np.float64), rows, row_of, links, spacing, torn,
-        (float(low), float(high)), out,
+        np.full(len(x), low, np.float64), np.full(len(x), high, np.float64), out,
     )  # fmt: skip
     return out
 
@@ -267,9 +267,8 @@ def jacobi(C, Q):
 
 
 @njit_cached(nogil=True, error_model="numpy")
-def _stretches(x, rows, row_of, links, spacing, torn, limits, out):
+def _stretches(x, rows, row_of, links, spacing, torn, low, high, out):
     """Write the stretches of all particles to out (m, 6)."""
-    low, high = limits
     A, B, M, C = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     for p in range(len(x)):
         row = rows[p]
@@ -283,7 +282,7 @@ def _stretches(x, rows, row_of, links, spacing, torn, limits, out):
         jacobi(C, B)
         k = 0
         for a in range(3):
-            M[a, a] = min(max(np.sqrt(max(C[a, a], 0.0)), low), high)
+            M[a, a] = min(max(np.sqrt(max(C[a, a], 0.0)), low[p]), high[p])
         for a in range(3):
             for b in range(a, 3):
                 out[p, k] = (
