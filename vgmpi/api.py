@@ -30,33 +30,45 @@ __all__ = ["Run", "SceneError", "load", "plan", "read", "run"]
 
 
 def load(
-    path: str | Path,
+    scene: str | Path | Mapping[str, Any],
     overrides: Mapping[str, Any] | Sequence[str] = (),
     text: str | None = None,
 ) -> Scene:
     """Read and check a scene.
 
     Args:
-        path: Scene file (TOML).
+        scene: Scene file (TOML), or its content as a nested dict: tables are dicts, lists of tables
+            are lists of dicts. Numbers may be NumPy's, vectors arrays. Files that a dict names are
+            looked for in the current folder; messages name the path of a key.
         overrides: Values that replace keys of the scene: a mapping such as
             `{"domain.cell": "1 cm"}`, or texts such as `["domain.cell=1 cm"]`, as for `--set`.
-        text: The scene itself. Nothing is then read from `path`, which names the scene in messages;
-            other files are looked for in the folder of `path`.
+        text: The scene itself. Nothing is then read from the file, which names the scene in
+            messages; other files are looked for in its folder.
 
     Returns:
         The checked scene.
 
     Raises:
         SceneError: If anything is wrong with the scene; it has one line per error.
+        ValueError: If a dict and a text are given.
 
     Example:
         ```python
         scene = vgmpi.load("ball.toml", {"time.end": "20 ms", "domain.gravity": [0, 0, 0]})
+        drop = vgmpi.load({
+            "domain": {"size": [0.24, 0.24, 0.24], "cell": "2 cm"},
+            "time": {"end": "10 ms", "frames": 3},
+            "material": {"water": {"kind": "fluid"}},
+            "object": [{"name": "drop", "material": "water",
+                        "shape": {"sphere": {"center": [0.12, 0.12, 0.12], "radius": 0.05}}}],
+        })
         ```
     """
+    if isinstance(scene, Mapping) and text is not None:
+        raise ValueError("a scene is either a dict or a text; both are given")
     if isinstance(overrides, Mapping):
         overrides = [f"{key}={_toml(value)}" for key, value in overrides.items()]
-    return loader.load(path, tuple(overrides), text)
+    return loader.load(scene, tuple(overrides), text)
 
 
 def _toml(value: Any) -> str:
@@ -65,11 +77,13 @@ def _toml(value: Any) -> str:
         return str(value).lower()
     if isinstance(value, list | tuple | np.ndarray):
         return f"[{', '.join(map(_quoted, value))}]"
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{key} = {_quoted(item)}' for key, item in value.items())}}}"
     return str(value)
 
 
 def _quoted(value: Any) -> str:
-    """Return an item of a list as TOML; texts in quotes."""
+    """Return an item of a list or a table as TOML; texts in quotes."""
     return f'"{value}"' if isinstance(value, str) else _toml(value)
 
 

@@ -1,6 +1,5 @@
 """Loader of scene files: checks all tables of a TOML file and builds a `Scene`."""
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from vgmpi.materials.couplings.interaction import CONTACT
 from vgmpi.materials.material import kinds_with_preset, unknown_material
 from vgmpi.runtime.config import renamed_keys
 from vgmpi.runtime.config.schema import SceneError, format_input, format_validation_errors
+from vgmpi.runtime.config.table_source import TableSource
 from vgmpi.runtime.config.toml_source import TomlSource
 from vgmpi.runtime.suggestions import did_you_mean
 
@@ -29,7 +29,7 @@ from .probes import Probe, collider_names, validate_probe
 from .regions import validate_region_kinds
 from .rigid_objects import as_collider, validate_particles, validate_rigid_scene
 from .scene import Scene, miscible_materials, phase_of
-from .sections import MAX_CELLS, SECTIONS, Appearance, Domain, Output, TopLevelKeys
+from .sections import SECTIONS, Appearance, Domain, Output, TopLevelKeys, validate_cell_counts
 from .slip_lengths import validate_slip_lengths
 from .subtraction import validate_subtractions
 from .thin_walls import validate_thin_scene
@@ -43,20 +43,34 @@ LISTS = ("object", "coupling", "joint", "load", "probe", "inlet", "outlet")
 
 
 def load(
-    path: str | Path, overrides: list[str] | tuple[str, ...] = (), text: str | None = None
+    path: str | Path | Mapping,
+    overrides: list[str] | tuple[str, ...] = (),
+    text: str | None = None,
 ) -> Scene:
-    """Read a scene file and check all of it.
+    """Read a scene and check all of it.
 
     Args:
-        path: Scene file (TOML).
-        overrides: "key=value" settings, which replace values of the file.
+        path: Scene file (TOML), or a nested table with the content of one.
+        overrides: "key=value" settings, which replace values of the scene.
         text: Content to use in place of the file's own.
 
     Raises:
-        SceneError: All errors in the order of the file, "file:line: key: what is wrong".
+        SceneError: All errors in the order of the file, "file:line: key: what is wrong"; those of a
+            table without file and line.
     """
-    source = TomlSource(path, overrides, text, renames=renamed_keys.SCENE)
+    if isinstance(path, Mapping):
+        source: TomlSource = TableSource(path, overrides, renames=renamed_keys.SCENE)
+    else:
+        source = TomlSource(path, overrides, text, renames=renamed_keys.SCENE)
     return SceneLoader(source).scene(tuple(overrides))
+
+
+def load_again(scene: Scene, overrides: tuple[str, ...]) -> Scene:
+    """Return a scene with more overrides. Raises SceneError."""
+    overrides = (*scene.overrides, *overrides)
+    if isinstance(scene.source, TableSource):
+        return load(scene.source.table, overrides)
+    return load(scene.path, overrides, scene.text)
 
 
 class SceneLoader:
@@ -110,7 +124,7 @@ class SceneLoader:
         flows = bool(inlets or outlets or (domain and domain.open_walls))
         self.errors += validate_balance(probes, flows, objects)
         if domain:
-            self.check_cell_counts(domain)
+            self.errors += validate_cell_counts(domain)
             self.check_hydrostatic(objects, domain)
         files = self.files(objects, tables.get("output"), top is not None and top.allow_outside)
         self.raise_if_errors()
@@ -353,24 +367,6 @@ class SceneLoader:
                 other = self.source.place(("coupling", first[pair]))[1]
                 self.report(("coupling", k, "between"), f"{other} is about the same two already")
         return tables
-
-    def check_cell_counts(self, domain: Domain) -> None:
-        """Report edges of the domain that are no whole number of cells, or too many or too few."""
-        for axis, edge in enumerate(domain.size):
-            count = edge / domain.cell
-            path = ("domain", "size", axis)
-            if count > MAX_CELLS:
-                self.report(path, f"is {count:.3g} cells; at most {MAX_CELLS} are possible")
-            elif abs(count - round(count)) > 1e-6 * max(1.0, count):
-                low, high = math.floor(count) * domain.cell, math.ceil(count) * domain.cell
-                options = f"{low:.6g} m or {high:.6g} m" if low > 0 else f"{high:.6g} m"
-                self.report(
-                    path,
-                    f"must be a whole number of cells of {domain.cell:g} m; {edge:g} m is"
-                    f" {count:.4g} cells, nearest are {options}",
-                )
-            elif round(count) < 4:
-                self.report(path, f"must be at least 4 cells of {domain.cell:g} m; got {edge:g} m")
 
     def files(self, objects: list[Any], output: Output | None, outside: bool) -> dict[str, Path]:
         """Return the files of all objects by name; check the output folder."""

@@ -7,7 +7,7 @@ from typing import Any
 
 from vgmpi.materials.couplings.interaction import MIXING
 from vgmpi.runtime.config.schema import SceneError
-from vgmpi.runtime.config.toml_source import TomlSource, escape_control_characters
+from vgmpi.runtime.config.toml_source import TomlSource
 
 from .inlets_outlets import Inlet, Outlet
 from .joints import Joint
@@ -24,7 +24,8 @@ class Scene:
     """Content of a scene file with defaults filled in, in SI units.
 
     `object`, `inlet`, `joint` and `coupling` are in file order; `folder` contains the file; `text`
-    is the file's text without the overrides, which `overrides` lists.
+    is the file's text without the overrides, which `overrides` lists. A scene of a table has its
+    values as JSON instead, and the folder in which the program runs.
     """
 
     path: Path
@@ -116,7 +117,7 @@ class Scene:
     def place(self, path: tuple) -> str:
         """Return a key with its location: "material.water.tait_exponent (scene.toml:12)"."""
         source = self.source or TomlSource(self.path, self.overrides)
-        return escape_control_characters(f"{source.key(path)} ({source.place(path)[1]})")
+        return source.key_with_place(path)
 
     def to_json(self) -> dict[str, Any]:
         """Return all values, with defaults filled in, as plain JSON values."""

@@ -1,5 +1,6 @@
 """Single-table sections of a scene: domain, time, appearance, accuracy, output."""
 
+import math
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
@@ -297,3 +298,24 @@ SECTIONS: dict[str, type[StrictModel]] = {
     "accuracy": Accuracy,
     "output": Output,
 }
+
+
+def validate_cell_counts(domain: Domain) -> list[tuple[tuple, str]]:
+    """Return (path, message) for edges that are no whole number of cells, or too many or few."""
+    errors: list[tuple[tuple, str]] = []
+    for axis, edge in enumerate(domain.size):
+        count, message = edge / domain.cell, ""
+        if count > MAX_CELLS:
+            message = f"is {count:.3g} cells; at most {MAX_CELLS} are possible"
+        elif abs(count - round(count)) > 1e-6 * max(1.0, count):
+            low, high = math.floor(count) * domain.cell, math.ceil(count) * domain.cell
+            options = f"{low:.6g} m or {high:.6g} m" if low > 0 else f"{high:.6g} m"
+            message = (
+                f"must be a whole number of cells of {domain.cell:g} m; {edge:g} m is"
+                f" {count:.4g} cells, nearest are {options}"
+            )
+        elif round(count) < 4:
+            message = f"must be at least 4 cells of {domain.cell:g} m; got {edge:g} m"
+        if message:
+            errors.append((("domain", "size", axis), message))
+    return errors

@@ -52,6 +52,23 @@ class TomlSource:
         if "\0" in str(path):
             raise error([f"{escape_control_characters(path)}: no file has such a name"])
         self.folder = self.path.resolve().parent
+        self._line: dict[tuple, int]  # line of each key
+        self.data: dict[str, Any]
+        self._set: dict[tuple, str] = {}
+        self._read(path, text, error)
+        self._renames = renames
+        self._replacements: list[Replacement] = []
+        self._refuse_extremes(error)
+        self._replace_old_words()
+        messages = [message for item in overrides if (message := self._override(item))]
+        if messages:
+            raise error([escape_control_characters(message) for message in messages])
+        self._refuse_extremes(error)
+        if not quiet:
+            self._warn_of_old_names()
+
+    def _read(self, path: str | Path, text: str | None, error: type[TomlError]) -> None:
+        """Read the file, or the text in its place; set `text`, `data` and the lines."""
         try:
             self.text = (
                 read_regular_file(self.path, MAX_TEXT_BYTES).decode() if text is None else text
@@ -74,17 +91,6 @@ class TomlSource:
             raise error(
                 [_syntax(escape_control_characters(path), self.text, str(caught))]
             ) from None
-        self._set: dict[tuple, str] = {}
-        self._renames = renames
-        self._replacements: list[Replacement] = []
-        self._refuse_extremes(error)
-        self._replace_old_words()
-        messages = [message for item in overrides if (message := self._override(item))]
-        if messages:
-            raise error([escape_control_characters(message) for message in messages])
-        self._refuse_extremes(error)
-        if not quiet:
-            self._warn_of_old_names()
 
     def place(self, path: tuple) -> tuple[int, str]:
         """Return (line for sorting, "file:line" or "--set key=value") of a key or of its holder."""
@@ -104,12 +110,19 @@ class TomlSource:
         located = []
         for path, message in errors:
             path = self._written(path)
-            line, where = self.place(path)
-            located.append(
-                (line, escape_control_characters(f"{where}: {self.key(path)}: {message}"))
-            )
+            line, where = self._line_head(path)
+            located.append((line, escape_control_characters(f"{where}: {message}")))
         located.sort(key=lambda item: item[0])
         return list(dict.fromkeys(message for _, message in located))
+
+    def _line_head(self, path: tuple) -> tuple[int, str]:
+        """Return (line for sorting, the text before the message of an error at a key)."""
+        line, where = self.place(path)
+        return line, f"{where}: {self.key(path)}"
+
+    def key_with_place(self, path: tuple) -> str:
+        """Return a key with its location: "material.water.tait_exponent (scene.toml:12)"."""
+        return escape_control_characters(f"{self.key(path)} ({self.place(path)[1]})")
 
     def key(self, path: tuple) -> str:
         """Return the path as a user would write it, with objects by name if they have one."""

@@ -19,7 +19,7 @@ from vgmpi.planning.cost.pilot_result import STEP_SECONDS, PilotRun, Snapshot
 from vgmpi.planning.cost.throughput import Throughput
 from vgmpi.planning.plan import Plan, time_step_bounds
 from vgmpi.runtime.config.schema import SceneError
-from vgmpi.scene.loader import load
+from vgmpi.scene.loader import load_again
 from vgmpi.scene.scene import Scene
 from vgmpi.solver.initial_particles import ParticleSummary
 from vgmpi.solver.run import Options, Runner, prepared_run
@@ -117,7 +117,7 @@ def _coarsened(scene: Scene, count: int) -> Scene:
     overrides = [f"domain.cell={cell!r}"]
     if scene.time.dt:
         overrides.append(f"time.dt={scene.time.dt * cell / scene.domain.cell!r}")
-    return load(scene.path, (*scene.overrides, *overrides), scene.text)
+    return load_again(scene, tuple(overrides))
 
 
 def _play(
