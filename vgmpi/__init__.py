@@ -19,7 +19,7 @@ if "numba" not in sys.modules:
 # where earlier releases had the readers of a run's files, and commands that `vgmpi` has now
 __path__.append(os.path.join(__path__[0], "apps", "old_paths"))
 
-__all__ = ["Run", "SceneError", "load", "open_run", "plan", "read", "run"]
+__all__ = ["Run", "SceneError", "load", "open_run", "plan", "read", "run", "simulate"]
 
 
 def __getattr__(name: str):

@@ -12,7 +12,8 @@ Example:
     ```
 """
 
-from collections.abc import Callable, Mapping, Sequence
+import contextlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +23,19 @@ from vgmpi.io.run_reader import RunReader as read
 from vgmpi.parallel.communicator import SerialCommunicator, init_communicator
 from vgmpi.planning.plan import Plan
 from vgmpi.runtime.config.schema import SceneError
+from vgmpi.runtime.suggestions import did_you_mean
 from vgmpi.scene.scene import Scene
 
 from .scene import loader
 
-__all__ = ["Run", "SceneError", "load", "plan", "read", "run"]
+__all__ = ["Run", "SceneError", "load", "plan", "read", "run", "simulate"]
+
+# names of the arrays of a run, as in its files, and those that the solver has for them
+ARRAYS = {
+    "id": "id", "x": "x", "velocity": "v", "J": "J", "F": "F", "stress": "stress",
+    "pressure": "pressure", "strain": "strain", "object": "object", "phase": "phase",
+    "vol0": "vol0", "C": "C",
+}  # fmt: skip
 
 
 def load(
@@ -114,23 +123,33 @@ def plan(scene: Scene, ranks: SerialCommunicator | None = None) -> Plan:
 
 
 class Run:
-    """State of a run, at each frame and at its end.
+    """State of a run, at each frame, after each step and at its end.
 
-    `vgmpi.run` passes it to `on_step` and `on_frame`, and returns it.
-
-    Attributes:
-        code: Exit code as of the command: 0 done, 3 blew up, 75 stopped with a checkpoint; None
-            while the run goes on.
+    `vgmpi.run` passes it to `on_frame` and returns it. `vgmpi.simulate` gives it to a loop over the
+    steps.
     """
 
     def __init__(self, inner):
         """Wrap a runner of vgmpi/solver/run.py."""
-        self._inner = inner
-        self.code: int | None = None
+        self._inner, self._steps = inner, inner.steps()
 
     def __repr__(self) -> str:
         state = {None: "going on", 0: "done", 3: "blew up", 75: "stopped"}[self.code]
         return f"<Run {state} at {self.time:.4g} s, step {self.step}, frame {self.frame}>"
+
+    def __iter__(self) -> Iterator[int]:
+        """Return this run, which makes its steps one by one."""
+        return self
+
+    def __next__(self) -> int:
+        """Make the next step and return the number of steps made. Collective."""
+        next(self._steps)
+        return self.step
+
+    @property
+    def code(self) -> int | None:
+        """Exit code as of the command: 0 done, 3 blew up, 75 stopped; None while it goes on."""
+        return self._inner.code
 
     @property
     def simulation(self):
@@ -153,6 +172,11 @@ class Run:
         return self._inner.frame
 
     @property
+    def is_at_frame(self) -> bool:
+        """Return whether the present time is that of a frame: steps end at the times of frames."""
+        return self._inner.is_at_frame
+
+    @property
     def ledger(self) -> list[dict]:
         """Mass, momentum and energy of each phase at this frame; empty on ranks other than 0."""
         return self._inner.latest_conservation
@@ -165,24 +189,36 @@ class Run:
     def arrays(self, *names: str) -> dict[str, np.ndarray]:
         """Return arrays of all particles, in the order of their ids, on every rank.
 
-        Collective: all ranks must ask for the same names.
+        They are copies in double precision or int64, and read-only: to write one would change
+        nothing of the run. Collective: all ranks must ask for the same names.
 
         Args:
-            names: Any of x (n, 3) [m], v (n, 3) [m/s], C (n, 9) [1/s], vol0 (n,) [m3], J (n,),
-                object (n,) and id (n,).
+            names: Names as in the files of a run: id (n,), x (n, 3) [m], velocity (n, 3) [m/s],
+                J (n,), F (n, 9), stress (n, 6) [Pa], pressure (n,) [Pa], strain (n, 6),
+                object (n,), phase (n,), vol0 (n,) [m3] and C (n, 9) [1/s].
 
         Returns:
-            The arrays by name, in double precision or int64.
+            The arrays by name.
+
+        Raises:
+            KeyError: If there is no array of a name.
 
         Example:
             ```python
-            state = run.arrays("x", "v")
-            print(state["v"].mean(axis=0))  # [m/s]
+            state = run.arrays("x", "velocity")
+            print(state["velocity"].mean(axis=0))  # [m/s]
             ```
         """
         from vgmpi.solver.restart.state_io import by_id
 
-        return dict(zip(names, by_id(self.simulation, *names), strict=True))
+        for name in names:
+            if name not in ARRAYS:
+                hint = did_you_mean(name, ARRAYS)
+                raise KeyError(f"there is no array '{name}'{hint}; there are {', '.join(ARRAYS)}")
+        arrays = by_id(self.simulation, *(ARRAYS[name] for name in names))
+        for array in arrays:
+            array.flags.writeable = False
+        return dict(zip(names, arrays, strict=True))
 
     def array(self, name: str) -> np.ndarray:
         """Return one of the arrays that `arrays` offers. Collective.
@@ -194,11 +230,21 @@ class Run:
         """
         return self.arrays(name)[name]
 
+    def stop(self, frame: bool = False) -> None:
+        """End the run before its next step, with a checkpoint if it has a folder.
+
+        Call it in a loop over the steps or in `on_frame`. All ranks end together, also if only some
+        of them call it. The code of the run is then 75, unless its last step was made.
+
+        Args:
+            frame: Whether the present state is written as a frame as well.
+        """
+        self._inner.ask_to_stop(frame)
+
 
 def run(
     scene: Scene,
     folder: str | Path | None = None,
-    on_step: Callable[[Run], None] | None = None,
     on_frame: Callable[[Run], None] | None = None,
     ranks: SerialCommunicator | None = None,
     threads: int = 1,
@@ -211,7 +257,6 @@ def run(
     Args:
         scene: A scene from `load`.
         folder: Output folder, or None to write no files.
-        on_step: Function that is called with the `Run` after every step.
         on_frame: Function that is called with the `Run` at every frame, first at time 0.
         ranks: Communicator, by default that of all ranks that mpirun started; every rank must call
             every function.
@@ -240,18 +285,61 @@ def run(
         assert run.code == 0
         ```
     """
+    with simulate(scene, folder, ranks, threads, engine, overwrite, progress) as state:
+        if on_frame is not None:
+            state._inner.options.watchers.append(lambda run: on_frame(state))
+        for _ in state:
+            pass
+    return state
+
+
+@contextlib.contextmanager
+def simulate(
+    scene: Scene,
+    folder: str | Path | None = None,
+    ranks: SerialCommunicator | None = None,
+    threads: int = 1,
+    engine: str = "cpu",
+    overwrite: bool = False,
+    progress: bool | None = None,
+) -> Iterator[Run]:
+    """Prepare a run whose steps a loop makes, one after the other. Collective.
+
+    The state at time 0 is there before the loop; the loop makes a step, then runs its body. Frames,
+    probes and checkpoints are written as in `run`. On several ranks every rank runs the loop. After
+    `break` the run can go on with another loop; leaving the block closes the files of the run, but
+    only `stop` and the end of the scene write a checkpoint.
+
+    Args:
+        scene: A scene from `load`.
+        folder: Output folder, or None to write no files.
+        ranks: As for `run`, and so are the others.
+        threads: Threads per rank.
+        engine: Engine.
+        overwrite: Replace an existing run in the folder.
+        progress: Whether a bar shows the progress.
+
+    Yields:
+        The run, which a loop steps.
+
+    Raises:
+        SceneError, StoreError, RunFolderInUseError, ValueError, BlowUp: As `run`.
+
+    Example:
+        ```python
+        with vgmpi.simulate(scene, "out") as sim:
+            for step in sim:
+                if sim.array("x")[:, 2].min() < 0.02:
+                    sim.stop(frame=True)
+        print(sim.code, sim.time)
+        ```
+    """
     from .solver import run as runs
     from .solver.diagnostics.progress import is_interactive, shown_progress
 
     options = runs.Options(
-        None if folder is None else Path(folder), threads, engine, overwrite=overwrite
+        None if folder is None else Path(folder), threads, engine, overwrite=overwrite, steered=True
     )
     with runs.prepared_run(scene, ranks or init_communicator(), options) as inner:
-        state = Run(inner)
-        if on_step is not None:
-            options.listeners.append(lambda simulation: on_step(state))
-        if on_frame is not None:
-            options.watchers.append(lambda run: on_frame(state))
         with shown_progress(inner, is_interactive() if progress is None else progress):
-            state.code = inner.run()
-    return state
+            yield Run(inner)

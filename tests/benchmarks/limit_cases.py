@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tests.benchmarks.limit_scenes import Row, rows
-from vgmpi.api import Run, load, run
+from vgmpi.api import Run, load, simulate
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.runtime.config.schema import SceneError
 
@@ -59,7 +59,7 @@ class _Watch:
     def frame(self, this: Run) -> None:
         """Record the first arrays and compare the momentum."""
         if not self.first:
-            self.first = this.arrays("x", "v", "vol0", "object", "id")
+            self.first = this.arrays("x", "velocity", "vol0", "object", "id")
             self.first["bound"] = this.simulation.bound()
             self.start = self._momentum(this)
             self.began = time.perf_counter()  # kernels have been compiled
@@ -74,10 +74,10 @@ class _Watch:
             raise TimeLimitExceeded
 
     def _momentum(self, this: Run) -> np.ndarray:
-        arrays = this.arrays("v", "vol0", "object")
+        arrays = this.arrays("velocity", "vol0", "object")
         plan = this.simulation.plan
         density = np.array([plan.groups[g].density if g >= 0 else 0.0 for g in plan.group_of])
-        p = (density[arrays["object"]] * arrays["vol0"])[:, None] * arrays["v"]
+        p = (density[arrays["object"]] * arrays["vol0"])[:, None] * arrays["velocity"]
         self.scale = max(self.scale, float(np.sqrt((p**2).sum(1)).sum()))
         return p.sum(0)
 
@@ -116,7 +116,12 @@ def _outcome(row: Row, watch: _Watch, log_lines: _Heard) -> tuple[str, bool]:
     code, details, good = 0, [], True
     try:
         scene = load("scene.toml", text=row.text)
-        this = run(scene, None, watch.step, watch.frame, SerialCommunicator())
+        with simulate(scene, ranks=SerialCommunicator()) as this:
+            watch.frame(this)
+            for _ in this:
+                watch.step(this)
+                if this.is_at_frame:
+                    watch.frame(this)
         code = this.code or 0
     except SceneError as error:
         code, log_lines.lines = 2, error.lines

@@ -301,8 +301,8 @@ def _friction() -> list[Row]:
         )
 
         def rubs(run: Run, first: dict, mu=mu) -> tuple[bool, str]:
-            found = run.arrays("v", "object")
-            up = float(found["v"][found["object"] == 1, 2].mean())
+            found = run.arrays("velocity", "object")
+            up = float(found["velocity"][found["object"] == 1, 2].mean())
             return (up < 0.01 if mu == 0 else up > 0.05), f"takes {up:+.3f} m/s along"
 
         rows.append(Row(f"friction {mu}, two bodies", text,

@@ -100,8 +100,8 @@ def off(run):
     one = sum(rows(run, name, "force") for name in parts(run))
     time = np.array([row["time"] for row in run.probes["all"]])
     dt = np.diff(time)[:, None]
-    there = run.arrays("v", "vol0")
-    momentum = 1000 * (there["vol0"][:, None] * np.abs(there["v"])).sum()
+    there = run.arrays("velocity", "vol0")
+    momentum = 1000 * (there["vol0"][:, None] * np.abs(there["velocity"])).sum()
     return np.abs((one - rows(run, "all", "force")) * dt).max() / momentum
 
 
@@ -306,7 +306,7 @@ def test_nobody_asks_nothing_is_there(tmp_path):
     assert simulation.reactions is None and simulation.engine.reactions is None
     assert all(part.ghosts is None for part in simulation.engine.parts)
     assert all(room.given is None for room in simulation.engine.room)
-    one, other = (run.arrays("x", "v", "C") for run in runs)
+    one, other = (run.arrays("x", "velocity", "C") for run in runs)
     assert all((one[name] == other[name]).all() for name in one)
 
 

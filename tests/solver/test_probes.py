@@ -171,7 +171,9 @@ velocity = [0.214, 0.2, 0.2]
 def test_a_flying_ball(tmp_path):
     seen = []
     scene = vgmpi.load(tmp_path / "scene.toml", text=FLYING)
-    run = vgmpi.run(scene, on_step=lambda run: seen.append((run.time, run.array("x"))))
+    with vgmpi.simulate(scene) as run:
+        for _ in run:
+            seen.append((run.time, run.array("x")))
     rows = run.probes["ball"]
     assert [row["time"] for row in rows[1:]] == [time for time, _ in seen]  # every step
     for row, (_, x) in zip(rows[1:], seen):

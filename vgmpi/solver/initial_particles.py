@@ -336,6 +336,7 @@ def rows_of_this_rank(
         if rows is None:
             empty = np.zeros(0)
             rows = {"x0": np.zeros((0, 3)), "vol0": empty, "object": empty.astype(np.int32)}
+            rows["surface0"] = np.zeros((0, 10))
         return np.arange(len(rows["x0"])), rows
     total = plan.particles
     first, last = total * ranks.rank // ranks.size, total * (ranks.rank + 1) // ranks.size

@@ -88,6 +88,8 @@ class Runner:
 
     `probes` holds the rows of the scene's probes and `frame` the number of the next frame. `times`
     are the times of all frames [s]; in a resumed run only the number of the past ones counts.
+    `is_at_frame` tells whether a frame was written of the present state, and `code` is the exit
+    code of a run that has ended.
     `history` lists what was changed at resumes. `path` is the checkpoint to resume from, or None;
     `particles` the identity of the particles (particle_set_id), None if nothing is written.
     """
@@ -115,7 +117,9 @@ class Runner:
         self.requests = Requests(
             options.stop_steps, options.stop_seconds, scene.output.checkpoint_interval
         )
-        self.warned = False
+        self.warned = self.is_at_frame = False
+        self.asked = False, False  # whether a program asks for a stop, and for a frame at it
+        self.code: int | None = None
         self.initial_conservation: list[dict] = []
         self.latest_conservation: list[dict] = []
 
@@ -138,23 +142,55 @@ class Runner:
 
     def run(self) -> int:
         """Run to the end of the scene or to a stop request; return the exit code."""
+        for _ in self.steps():
+            pass
+        assert self.code is not None
+        return self.code
+
+    def steps(self) -> Iterator[None]:
+        """Run to the end of the scene or to a stop request, and yield after every step.
+
+        `code` is the exit code once there are no more steps.
+        """
         simulation = self.simulation
         self.initial_conservation = self.latest_conservation = conservation_rows(simulation)
         if self.frame == 0:
             self._write_frame()
             self.probes.first()
+            self.is_at_frame = True
+        stop = False
         try:
             while self.frame < len(self.times):
-                if self._step():
+                if stop or self._is_asked_to_stop():
                     self._checkpoint()
-                    return STOPPED
+                    self.code = STOPPED
+                    return
+                stop = self._step()
+                yield
         except BlowUp as error:
-            return self._blew_up(str(error).format(*self.names))
+            self.code = self._blew_up(str(error).format(*self.names))
+            return
         if simulation.step > self.first_step:
             self._checkpoint()  # the run can be extended from it
         else:
             log.info("the run is at %g s: a later time.end extends it", simulation.time)
-        return DONE
+        self.code = DONE
+
+    def ask_to_stop(self, frame: bool = False) -> None:
+        """Ask for a stop before the next step; `frame`: with a frame of the present state.
+
+        It counts on any rank, in runs whose options allow it (Options.steered).
+        """
+        self.asked = True, frame
+
+    def _is_asked_to_stop(self) -> bool:
+        """Return whether a rank asks for a stop, after writing the frame that it asks for."""
+        if not self.options.steered:
+            return False
+        stop, frame = self.ranks.max(np.array(self.asked, float))
+        if frame and not self.is_at_frame:
+            self._write_frame()
+        return bool(stop)
 
     def _step(self) -> bool:
         """Make one step and write what is due after it; return whether the run must stop here."""
@@ -170,7 +206,8 @@ class Runner:
         stop, due = simulation.advance(
             dt, self.requests.poll(steps_done), target if lands else None
         )
-        if lands and target == frame:
+        self.is_at_frame = lands and target == frame
+        if self.is_at_frame:
             self._write_frame()
         self.probes.after_step(before)
         for listener in self.options.listeners:

@@ -24,6 +24,7 @@ class Options:
     stop_seconds: float = 0.0  # [s] wall time until it stops, 0 for no limit
     overwrite: bool = False  # replace an existing run in the folder
     change: bool = False  # resume although the scene has changed
+    steered: bool = False  # whether a program may ask for a stop after any step
     listeners: list = field(default_factory=list)  # each called with (simulation) after every step
     watchers: list = field(default_factory=list)  # each called with (run) at every frame
 

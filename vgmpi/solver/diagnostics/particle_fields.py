@@ -17,8 +17,7 @@ def continuum_rows(
         names: Fields of a frame.
 
     Returns:
-        Rows in the order of `indices`, in single precision: stress (n, 6) [Pa], pressure (n,) [Pa],
-        strain (n, 6).
+        Rows in the order of `indices`: stress (n, 6) [Pa], pressure (n,) [Pa], strain (n, 6).
     """
     fields: dict[str, np.ndarray] = {}
     if not {"stress", "pressure", "strain"}.intersection(names):
@@ -30,4 +29,4 @@ def continuum_rows(
         fields["stress"], fields["pressure"] = stress, mean_pressure(stress)
     if "strain" in names:
         fields["strain"] = logarithmic_strain(law, state)
-    return {name: rows.astype(np.float32) for name, rows in fields.items() if name in names}
+    return {name: rows for name, rows in fields.items() if name in names}

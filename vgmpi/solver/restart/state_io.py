@@ -5,7 +5,7 @@ import numpy as np
 from vgmpi.materials.material import law_function
 from vgmpi.parallel.block_ownership import BlockDirectory, build_block_directory
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.parallel.particle_group import SIMD_WIDTH
+from vgmpi.parallel.particle_group import SIMD_WIDTH, ParticleGroup
 from vgmpi.solver.diagnostics.particle_fields import continuum_rows
 from vgmpi.solver.diagnostics.volume_fractions import volume_fractions
 from vgmpi.solver.engines.engine_protocol import UNKNOWN_MAXIMA, ParticleMaxima
@@ -49,8 +49,9 @@ def frame_rows(simulation: Simulation, names: tuple[str, ...]) -> tuple[np.ndarr
         if "J" in names:
             row["J"] = J
         if "F" in names and deforms:
-            row["F"] = _gradient(group, indices, J)
-        row |= continuum_rows(group, indices, names)
+            row["F"] = _gradient(group, indices, J).astype(np.float32)
+        fields = continuum_rows(group, indices, names)
+        row |= {name: rows.astype(np.float32) for name, rows in fields.items()}
         if "volume_fraction" in names:
             row["volume_fraction"] = fractions[g].astype(np.float32)
         if simulation.plan.colors is not None:
@@ -68,9 +69,9 @@ def _gradient(group, indices, J) -> np.ndarray:
     A material without F gets the isotropic one of its volume ratio.
     """
     if "H" not in group.plan.carries and not group.plan.tracks_deformation:
-        return (np.cbrt(J)[:, None] * np.eye(3).ravel()).astype(np.float32)
+        return np.cbrt(J)[:, None] * np.eye(3).ravel()
     carried = group.get("F" if group.plan.tracks_deformation else "H", indices)
-    return (carried + np.eye(3).ravel()).astype(np.float32)
+    return carried + np.eye(3).ravel()
 
 
 def _color(group, indices, colors) -> np.ndarray:
@@ -88,32 +89,41 @@ def by_id(simulation: Simulation, *names: str) -> list[np.ndarray]:
 
     Args:
         simulation: The simulation.
-        names: x (n, 3) [m], v (n, 3) [m/s], C (n, 9) [1/s], vol0 (n,) [m3], J (n,), object (n,),
-            id (n,).
+        names: x (n, 3) [m], v (n, 3) [m/s], C (n, 9) [1/s], vol0 (n,) [m3], J (n,), F (n, 9),
+            stress (n, 6) [Pa], pressure (n,) [Pa], strain (n, 6), object (n,), phase (n,), id (n,).
 
     Returns:
         One array per name, in double precision or int64.
     """
-    readers = {
-        "id": lambda group, indices: group.ids[indices],
-        "x": lambda group, indices: group.positions(),
-        "v": lambda group, indices: group.get("v", indices),
-        "C": lambda group, indices: group.get("C", indices),
-        "vol0": lambda group, indices: group.get("vol0", indices)[:, 0],
-        "J": lambda group, indices: law_function(group.plan.law, "volume_ratio")(
-            group.plan.law, group.law_state(indices)
-        ),
-        "object": lambda group, indices: simulation.object_of(group.ids[indices]),
-    }
 
     def rows(name: str) -> np.ndarray:
         """Return one array of all ranks, unsorted."""
-        local = [readers[name](group, group.index()) for group in simulation.groups]
+        local = [_rows(simulation, group, name) for group in simulation.groups]
         gathered = simulation.ranks.all_rows(np.concatenate(local))
         return gathered if gathered.dtype.kind == "i" else gathered.astype(np.float64)
 
     order = np.argsort(rows("id"))
     return [rows(name)[order] for name in names]
+
+
+def _rows(simulation: Simulation, group: ParticleGroup, name: str) -> np.ndarray:
+    """Return an array of `by_id` for the particles of a group on this rank."""
+    indices, plan = group.index(), group.plan
+    if name == "id":
+        return group.ids[indices]
+    if name == "x":
+        return group.positions()
+    if name == "object":
+        return simulation.object_of(group.ids[indices])
+    if name == "phase":
+        return np.full(len(indices), plan.phase)
+    if name in ("J", "F"):
+        J = law_function(plan.law, "volume_ratio")(plan.law, group.law_state(indices))
+        return _gradient(group, indices, J) if name == "F" else np.asarray(J)
+    if name in ("stress", "pressure", "strain"):
+        return continuum_rows(group, indices, (name,))[name]
+    values = group.get(name, indices)
+    return values[:, 0] if name == "vol0" else values
 
 
 def save(simulation: Simulation) -> dict:
