@@ -23,19 +23,12 @@ from vgmpi.io.run_reader import RunReader as read
 from vgmpi.parallel.communicator import SerialCommunicator, init_communicator
 from vgmpi.planning.plan import Plan
 from vgmpi.runtime.config.schema import SceneError
-from vgmpi.runtime.suggestions import did_you_mean
 from vgmpi.scene.scene import Scene
 
 from .scene import loader
+from .solver.steering.steered_run import Run
 
 __all__ = ["Run", "SceneError", "load", "plan", "read", "run", "simulate"]
-
-# names of the arrays of a run, as in its files, and those that the solver has for them
-ARRAYS = {
-    "id": "id", "x": "x", "velocity": "v", "J": "J", "F": "F", "stress": "stress",
-    "pressure": "pressure", "strain": "strain", "object": "object", "phase": "phase",
-    "vol0": "vol0", "C": "C",
-}  # fmt: skip
 
 
 def load(
@@ -120,126 +113,6 @@ def plan(scene: Scene, ranks: SerialCommunicator | None = None) -> Plan:
     from vgmpi.solver.initial_particles import plan_for, prepare
 
     return plan_for(scene, prepare(scene, ranks or SerialCommunicator(), None))
-
-
-class Run:
-    """State of a run, at each frame, after each step and at its end.
-
-    `vgmpi.run` passes it to `on_frame` and returns it. `vgmpi.simulate` gives it to a loop over the
-    steps.
-    """
-
-    def __init__(self, inner):
-        """Wrap a runner of vgmpi/solver/run.py."""
-        self._inner, self._steps = inner, inner.steps()
-
-    def __repr__(self) -> str:
-        state = {None: "going on", 0: "done", 3: "blew up", 75: "stopped"}[self.code]
-        return f"<Run {state} at {self.time:.4g} s, step {self.step}, frame {self.frame}>"
-
-    def __iter__(self) -> Iterator[int]:
-        """Return this run, which makes its steps one by one."""
-        return self
-
-    def __next__(self) -> int:
-        """Make the next step and return the number of steps made. Collective."""
-        next(self._steps)
-        return self.step
-
-    @property
-    def code(self) -> int | None:
-        """Exit code as of the command: 0 done, 3 blew up, 75 stopped; None while it goes on."""
-        return self._inner.code
-
-    @property
-    def simulation(self):
-        """State of the solver, see vgmpi/solver/simulation.py."""
-        return self._inner.simulation
-
-    @property
-    def time(self) -> float:
-        """Simulated time [s]."""
-        return self._inner.simulation.time
-
-    @property
-    def step(self) -> int:
-        """Number of time steps made."""
-        return self._inner.simulation.step
-
-    @property
-    def frame(self) -> int:
-        """Number of the present frame within `on_frame`, elsewhere of the next frame."""
-        return self._inner.frame
-
-    @property
-    def is_at_frame(self) -> bool:
-        """Return whether the present time is that of a frame: steps end at the times of frames."""
-        return self._inner.is_at_frame
-
-    @property
-    def ledger(self) -> list[dict]:
-        """Mass, momentum and energy of each phase at this frame; empty on ranks other than 0."""
-        return self._inner.latest_conservation
-
-    @property
-    def probes(self) -> dict[str, list[dict]]:
-        """Rows of every probe so far, by the probe's name; empty on ranks other than 0."""
-        return self._inner.probes.rows
-
-    def arrays(self, *names: str) -> dict[str, np.ndarray]:
-        """Return arrays of all particles, in the order of their ids, on every rank.
-
-        They are copies in double precision or int64, and read-only: to write one would change
-        nothing of the run. Collective: all ranks must ask for the same names.
-
-        Args:
-            names: Names as in the files of a run: id (n,), x (n, 3) [m], velocity (n, 3) [m/s],
-                J (n,), F (n, 9), stress (n, 6) [Pa], pressure (n,) [Pa], strain (n, 6),
-                object (n,), phase (n,), vol0 (n,) [m3] and C (n, 9) [1/s].
-
-        Returns:
-            The arrays by name.
-
-        Raises:
-            KeyError: If there is no array of a name.
-
-        Example:
-            ```python
-            state = run.arrays("x", "velocity")
-            print(state["velocity"].mean(axis=0))  # [m/s]
-            ```
-        """
-        from vgmpi.solver.restart.state_io import by_id
-
-        for name in names:
-            if name not in ARRAYS:
-                hint = did_you_mean(name, ARRAYS)
-                raise KeyError(f"there is no array '{name}'{hint}; there are {', '.join(ARRAYS)}")
-        arrays = by_id(self.simulation, *(ARRAYS[name] for name in names))
-        for array in arrays:
-            array.flags.writeable = False
-        return dict(zip(names, arrays, strict=True))
-
-    def array(self, name: str) -> np.ndarray:
-        """Return one of the arrays that `arrays` offers. Collective.
-
-        Example:
-            ```python
-            height = run.array("x")[:, 2].max()  # [m]
-            ```
-        """
-        return self.arrays(name)[name]
-
-    def stop(self, frame: bool = False) -> None:
-        """End the run before its next step, with a checkpoint if it has a folder.
-
-        Call it in a loop over the steps or in `on_frame`. All ranks end together, also if only some
-        of them call it. The code of the run is then 75, unless its last step was made.
-
-        Args:
-            frame: Whether the present state is written as a frame as well.
-        """
-        self._inner.ask_to_stop(frame)
 
 
 def run(

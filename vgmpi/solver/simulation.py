@@ -37,6 +37,7 @@ from vgmpi.solver.engines.engine_protocol import (
     StepReport,
 )
 from vgmpi.solver.engines.shift_tables import shift_constants
+from vgmpi.solver.steering.particle_changes import ParticleChanges
 
 from .engine_registry import engine_of
 from .failure_message import failure_message
@@ -83,10 +84,10 @@ class Simulation:
             rows = len(self.reactions.totals)
             self.engine.enable_reactions(rows, self.reactions.quanta, ranks.rank)
         self.loads = Pushes(list(loads), plan, ranks) if loads else None
-        self.flow_accounting = Tally(plan) if plan.is_open_system else None
+        self.changes: ParticleChanges | None = None  # by a program, between steps
+        tally = self.flow_accounting = Tally(plan) if plan.is_open_system else None
         self.sides = wall_sides(plan, self.movers, self.groups, self.flow_accounting)
         self.sources = Sources(plan, ranks) if plan.sources else None
-        tally = self.flow_accounting
         self.sinks = Sinks(plan, tally) if tally is not None and plan.sinks else None
         releases = plan.driven or any(time is not None for time in plan.opens)
         self.releases = Releases(plan, self.flow_accounting, self.engine) if releases else None
@@ -98,8 +99,7 @@ class Simulation:
         self.cut: np.ndarray | None = None
         self.halo: HaloExchange | None = None
         self.correction_halo: HaloExchange | None = None  # exchange of zero-length steps
-        self.time, self.step, self.rate = 0.0, 0, 0.0
-        self.particle_maxima = UNKNOWN_MAXIMA
+        self.time, self.step, self.rate, self.particle_maxima = 0.0, 0, 0.0, UNKNOWN_MAXIMA
         # the next shift must leave particles in their patches
         margin = 1.2 * MAX_SHIFT_CELLS if plan.shift_interval else 0.0
         margin += 1.2 * MAX_PUSH_CELLS if self.sides is not None else 0.0
@@ -231,6 +231,7 @@ class Simulation:
         if self.loads is not None:
             speed = self.loads.impulsive_speed_ahead(self.groups, self.time, 1.0 / rate)
             rate += speed / (min(self.plan.cfl, MAX_CELLS_PER_STEP) * self.plan.dx)
+        rate = rate if self.changes is None else self.changes.limit_rate(rate)
         for mover in (self.movers, self.pins):
             rate = rate if mover is None else mover.rate(self.time, rate)
         if self.driven is not None:  # nothing else bounds a step while all bodies are prescribed
@@ -300,9 +301,9 @@ class Simulation:
 
     def _apply_loads(self, end: float, dt: float) -> float:
         """Apply loads until `end` [s]; bound the speed added, also by motions [m/s]."""
-        pushed = 0.0
+        pushed = 0.0 if self.changes is None else self.changes.apply_forces(dt)
         if self.loads is not None:
-            pushed = self.loads.apply(self.groups, self.time, end, dt)
+            pushed += self.loads.apply(self.groups, self.time, end, dt)
         for motion in self.motions:
             pushed += self.plan.dx * motion.travels(self.time, end) / dt
         return pushed

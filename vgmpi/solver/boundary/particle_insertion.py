@@ -110,6 +110,18 @@ def bounds(plan: Plan, group: GroupPlan, states: list, v: np.ndarray, C: np.ndar
     return np.array([rate, speed, float(np.sqrt((C**2).sum(1)).max()), stress])
 
 
+def bounds_of_particles(plan: Plan, group: ParticleGroup, indices: np.ndarray) -> np.ndarray:
+    """Return `bounds` for particles (n,) of a group in their present states."""
+    law, state = group.plan.law, group.law_state(indices)
+    wave2 = np.broadcast_to(law_function(law, "wave_speed2")(law, state), len(indices))
+    tau = np.abs(
+        np.stack(np.broadcast_arrays(*law_function(law, "stress")(law, state, (0.0,) * 9)))
+    )
+    worst = {int(np.argmax(wave2)), int(np.argmax(np.broadcast_to(tau.sum(0), len(indices))))}
+    states = [tuple(row[k] for row in state) for k in sorted(worst)]
+    return bounds(plan, group.plan, states, group.get("v", indices), group.get("C", indices))
+
+
 def bounds_of_idle_group(plan: Plan) -> np.ndarray:
     """Return the bounds for a state without any particle.
 

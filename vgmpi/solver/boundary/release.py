@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from vgmpi.materials.material import law_function
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.migration import append_particles
 from vgmpi.parallel.particle_group import ParticleGroup
@@ -13,7 +12,7 @@ from vgmpi.solver.engines.engine_protocol import Engine
 
 from .flow_accounting import Tally
 from .outlets import remove
-from .particle_insertion import bounds
+from .particle_insertion import bounds_of_particles
 
 TIME_TOLERANCE = 1.0 + 1e-12  # [-] ratio below which two times count as equal
 
@@ -97,7 +96,7 @@ class Releases:
             group.f[:, indices],
             group.ids[indices],
         )  # these are copies
-        limits = _bounds_of(self.plan, group, indices)
+        limits = bounds_of_particles(self.plan, group, indices)
         remove(group, indices)
         append_particles(target, block, xi, channels, ids)
         if self.tally is not None:
@@ -113,15 +112,3 @@ def _launch(group: ParticleGroup, indices: np.ndarray, course: Trajectory, time:
     x = group.positions_at(indices) - (np.array(course.about) + displacement)
     group.put("v", indices, v + np.cross(spin, x))
     group.put("C", indices, np.tile(spin_tensor(spin), (len(indices), 1)))
-
-
-def _bounds_of(plan: Plan, group: ParticleGroup, indices: np.ndarray) -> np.ndarray:
-    """Return particle_insertion.bounds for the particles `at` (n,) of a group."""
-    law, state = group.plan.law, group.law_state(indices)
-    wave2 = np.broadcast_to(law_function(law, "wave_speed2")(law, state), len(indices))
-    tau = np.abs(
-        np.stack(np.broadcast_arrays(*law_function(law, "stress")(law, state, (0.0,) * 9)))
-    )
-    worst = {int(np.argmax(wave2)), int(np.argmax(np.broadcast_to(tau.sum(0), len(indices))))}
-    states = [tuple(row[k] for row in state) for k in sorted(worst)]
-    return bounds(plan, group.plan, states, group.get("v", indices), group.get("C", indices))

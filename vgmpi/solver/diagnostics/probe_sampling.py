@@ -49,6 +49,7 @@ class Probes:
         self.scene, self.simulation = scene, simulation
         self.rows: dict[str, list[dict]] = {probe.name: [] for probe in scene.probe}
         self.files: dict[str, CsvLog] = {}
+        self.given_impulses: dict[str, np.ndarray] = {}  # (3,) [N s] at the last row, by probe
         self.rigid = {obj.name for obj in scene.object if obj.rigid}
         if folder is None:
             return
@@ -197,13 +198,22 @@ class Probes:
         if self.simulation.ranks.rank != 0:
             return {}
         rate, dt = self._rate(probe, momentum)
-        external_force = mass * self._gravity(dt)
+        external_force = mass * self._gravity(dt) + self._force_of_changes(probe, dt)
         if dt and self.simulation.loads is not None:
             now = self.simulation.time
             external_force = (
                 external_force + self.simulation.loads.total_impulse(now - dt, now) / dt
             )
         return _vector("momentum", momentum) | _vector("force", external_force - rate)
+
+    def _force_of_changes(self, probe: Probe, dt: float) -> np.ndarray:
+        """Return the mean force (3,) [N] that a program gave within dt [s] since the last row."""
+        changes = self.simulation.changes
+        if changes is None:
+            return np.zeros(3)
+        before = self.given_impulses.get(probe.name, np.zeros(3))
+        self.given_impulses[probe.name] = changes.impulse.copy()
+        return (changes.impulse - before) / dt if dt else np.zeros(3)
 
     def one_wall(self, probe: Probe) -> dict:
         """Measure the force and torque of the bodies on one wall."""
