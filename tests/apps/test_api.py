@@ -17,7 +17,7 @@ from tests.support.launch import mpirun
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "tutorial" / "python.md").read_text()
-EXAMPLE, NOTEBOOK, SERIES, SWEEP = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+EXAMPLE, CONTROL, NOTEBOOK, SERIES, SWEEP = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 SCENE = """
 [accuracy]
@@ -57,6 +57,24 @@ def test_the_example_of_the_docs(tmp_path):
     assert job.returncode == 0, job.stderr
     expected(job.stdout)
     assert (tmp_path / "out" / "probe_ball.csv").exists()
+
+
+def test_the_controlled_experiment_of_the_docs(tmp_path):
+    """A ball that a spring and a damper hold rests m g / k below the target."""
+    (tmp_path / "script.py").write_text(CONTROL)
+    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    job = subprocess.run(
+        [sys.executable, "script.py"], cwd=tmp_path, env=env, capture_output=True, text=True
+    )
+    assert job.returncode == 0, job.stderr
+    rest, height, force = job.stdout.splitlines()
+    assert re.fullmatch(r"at rest after 0\.[34]\d s, code 75", rest), rest
+    assert height == "6.125 mm below the target, exactly 6.125 mm"
+    measured, weight = (float(number) for number in re.findall(r"[\d.]+(?= N)", force))
+    assert measured == pytest.approx(weight, rel=1e-4) and 5 < weight < 6
+    files = vgmpi.read(tmp_path / "held")
+    assert files.frame(-1)["x"][:, 2].mean() == pytest.approx(0.2 - 6.125e-3, abs=1e-5)
+    assert list((tmp_path / "held" / "checkpoints").glob("*.h5"))
 
 
 def test_the_series_and_the_sweep_of_the_docs(tmp_path):

@@ -15,7 +15,7 @@ from .toml_source import MAX_NESTING, TomlSource, truncate
 class TableSource(TomlSource):
     """Data of a nested table. Its messages name the path of a key, as there is no line.
 
-    `text` holds the values as JSON; arrays that stay arrays are in it by their shapes.
+    `text` holds the values as JSON.
     """
 
     def __init__(
@@ -25,7 +25,6 @@ class TableSource(TomlSource):
         name: str = "scene",
         error: type[TomlError] = SceneError,
         renames: RenameTable = NO_RENAMES,
-        keep_arrays_below: str | None = None,
     ):
         """Copy a table and apply the overrides.
 
@@ -36,9 +35,8 @@ class TableSource(TomlSource):
             error: Class raised if a value is nothing that a TOML file can hold, or an override
                 fails.
             renames: Old words of keys and values, which are replaced; a warning lists them.
-            keep_arrays_below: Key whose arrays stay NumPy arrays; all others become lists.
         """
-        self.table, self._keep_arrays_below = table, keep_arrays_below
+        self.table = table
         super().__init__(name, overrides, None, error, renames)
 
     def _read(self, path: str | Path, text: str | None, error: type[TomlError]) -> None:
@@ -48,7 +46,7 @@ class TableSource(TomlSource):
         self.data = self._plain((), self.table, wrong)
         if wrong:
             raise error(self.lines(wrong))
-        self.text = json.dumps(self.data, default=lambda array: f"array of shape {array.shape}")
+        self.text = json.dumps(self.data)
 
     def _plain(self, path: tuple, value: Any, wrong: list[tuple[tuple, str]]) -> Any:
         """Return a value as tomllib would; note what is wrong, and number the key at `path`."""
@@ -56,8 +54,6 @@ class TableSource(TomlSource):
         if len(path) > MAX_NESTING:
             wrong.append((path[:3], f"must not be nested more than {MAX_NESTING} deep"))
             return None
-        if isinstance(value, np.ndarray) and self._keep_arrays_below in path:
-            return value
         if isinstance(value, np.ndarray | np.generic):
             value = value.tolist()
         if isinstance(value, Mapping):
