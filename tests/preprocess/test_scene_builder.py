@@ -106,6 +106,19 @@ def rows(made, name):
     return slice(item["first_row"], item["first_row"] + item["row_count"])
 
 
+def test_a_rigid_capture_keeps_its_gaussians(path):
+    """Pruning is for particles, which it has not: it is the same body with and without."""
+    rigid = SCENE.replace("angular_velocity = [0, 0, 3]", "rigid = true")
+    pruned = rigid.replace("rigid = true", 'rigid = true\nprune = "auto"\npassive_gaussians = true')
+    plain, other = (build_scene(load(path, text=text)) for text in (rigid, pruned))
+    for name in ("x", "object", "cov0", "opacity", "sh"):
+        assert np.array_equal(getattr(plain.scenery, name), getattr(other.scenery, name)), name
+    egg_rows = plain.scenery.object == [o["name"] for o in plain.objects].index("egg")
+    assert egg_rows.sum() == 8000 and other.passive is None
+    one, two = (next(c for c in made.colliders if c.name == "egg") for made in (plain, other))
+    assert one.body.mass == two.body.mass > 0 and np.array_equal(plain.x, other.x)
+
+
 def test_arrays_types_and_order(made):
     n = len(made.x)
     shapes = {"x": (n, 3), "v0": (n, 3), "vol0": (n,), "object": (n,), "cov0": (n, 6)}

@@ -160,13 +160,13 @@ class Object(StrictModel):
     """removal of particles of a capture or a mesh; the remaining ones take over mass and
     appearance. auto: down to 8 per cell (or `particles_per_cell`), as long as images at rest agree
     to 40 dB inside the outline. versagauss: the ratios of VersaGauss for surface and interior, see
-    `prune_scale`"""
+    `prune_scale`. Rigid bodies have no particles and keep all Gaussians"""
     prune_scale: Annotated[float, Quantity("", gt=0, le=1)] | None = None
     """for prune = "versagauss", the volume scale s' (a linear scale cubed): of the interior s' is
     kept, of the surface s'^(2/3) up to s' = 0.5, s'^(1/3) up to 0.7, above 0.7 all"""
     passive_gaussians: Switch = False
     """solids only: render the pruned Gaussians, too. Each follows the 4 particles nearest to it at
-    rest and has no mass"""
+    rest and has no mass. Rigid bodies render all anyway"""
     color: Color = (0.7, 0.7, 0.7)
     """color of shapes, and of meshes without colors: "#rrggbb" or three numbers 0..1. It goes
     before the colors (Kd) of an .obj's materials"""

@@ -21,10 +21,7 @@ KEYS_OF_PARTICLES = (
     "volume_fraction_profile",
     "initial_pressure",
     "subtract",
-    "passive_gaussians",
     "track_deformation",
-    "prune",
-    "prune_scale",
 )
 
 
@@ -100,7 +97,7 @@ def as_collider(obj: "Object", material: "Material | None") -> "Object":
     )  # fmt: skip
     changes = {
         "role": "scenery", "collider": True, "material": None, "velocity": (0.0,) * 3,
-        "angular_velocity": (0.0,) * 3,
+        "angular_velocity": (0.0,) * 3, "prune": "off", "passive_gaussians": False,
     }  # fmt: skip
     collider = obj.model_copy(update=changes)
     collider._free_body = body
