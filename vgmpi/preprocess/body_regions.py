@@ -11,7 +11,8 @@ from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
 from vgmpi.scene.objects import Object
 from vgmpi.scene.scene import Scene
 
-from .object_builder import BuiltObject, spacing_of
+from .built_object import BuiltObject
+from .memory_estimate import spacing_of
 from .shape_sdf import contains
 
 log = logging.getLogger("vgmpi")

@@ -10,7 +10,8 @@ import numpy as np
 from vgmpi.scene.objects import Object
 from vgmpi.scene.scene import Scene
 
-from .object_builder import BuiltObject, spacing_of
+from .built_object import BuiltObject
+from .memory_estimate import spacing_of
 from .placement import PlacementError
 
 

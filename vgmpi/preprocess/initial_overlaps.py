@@ -11,8 +11,8 @@ from vgmpi.scene.objects import Object
 from vgmpi.scene.scene import Scene
 from vgmpi.scene.subtraction import is_subtractable, subtracted_names
 
+from .built_object import BuiltObject
 from .collider_sdf import Collider
-from .object_builder import BuiltObject
 from .placement import PlacementError
 
 log = logging.getLogger("vgmpi")

@@ -12,8 +12,8 @@ from vgmpi.scene.inlets_outlets import Inlet
 from vgmpi.scene.scene import Scene
 
 from . import memory_estimate
+from .built_object import BuiltObject, isotropic_gaussians
 from .collider_sdf import Collider
-from .object_builder import BuiltObject, isotropic_gaussians
 from .placement import SimilarityTransform
 from .shape_sdf import contains, distance
 

@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -33,7 +33,8 @@ from vgmpi.scene.scene import Scene
 
 from . import memory_estimate, shape_sdf
 from .baked_shading import apply_baked_shading
-from .collider_sdf import Collider, ShapeCollider, VoxelCollider
+from .built_object import BuiltObject, isotropic_gaussians
+from .collider_sdf import ShapeCollider, VoxelCollider
 from .crop import crop
 from .floaters import capture_floaters
 from .memory_estimate import spacing_of
@@ -53,24 +54,6 @@ log = logging.getLogger("vgmpi")
 _FINENESS = (
     3  # [-] resolution of the lattice that measures meshes, relative to their particles' lattice
 )
-_UNIT_BALL_RADIUS = (3 / (4 * np.pi)) ** (1 / 3)  # [-] radius of a ball of volume 1
-
-
-@dataclass(frozen=True)
-class BuiltObject:
-    """One object in the domain: its Gaussians, their volumes [m3], and its placement."""
-
-    cloud: GaussianCloud
-    volume: np.ndarray
-    placement: SimilarityTransform
-    collider: Collider | None = None
-    theta: np.ndarray | None = None  # (n,) ln J at the start, None for 0
-    surface_count: int = 0  # number of first rows that lie on its surface; the others fill it
-    passive: GaussianCloud | None = None  # Gaussians without mass that ride along
-    summary: str = ""  # text on the particle counts and on the volume convention
-    surface_sdf: Callable[[], Collider] | None = None  # builds the signed distance of its surface
-    surface_descriptor: np.ndarray | None = None  # (n, 10), see surface_descriptor.py
-    region_counts: tuple[int, ...] = ()  # particles of each region; they are last, in this order
 
 
 def build_object(scene: Scene, number: int) -> BuiltObject:
@@ -87,7 +70,7 @@ def build_object(scene: Scene, number: int) -> BuiltObject:
         complete, pruning = piece, ""
         if obj.prune != "off":
             piece, pruning = _pruned(scene, obj, piece)
-        if obj.source != "shape":
+        if obj.source not in ("shape", "points"):
             summary = (
                 f"{piece.surface_count} particles on its surface,"
                 f" {len(piece.cloud) - piece.surface_count} inside{pruning};"
@@ -264,10 +247,42 @@ def _from_gaussians(scene: Scene, k: int, obj: Object) -> BuiltObject:
     return replace(piece, cloud=drawn, volume=np.zeros(len(drawn)))
 
 
+def _from_points(scene: Scene, k: int, obj: Object) -> BuiltObject:
+    """Return a body of the particles that a program gives."""
+    spacing, points = spacing_of(scene, obj), obj.points
+    assert points is not None
+    transform = placement(obj, lambda d: float((points.positions @ d).max()))
+    x = transform.to_domain(points.positions)
+    low, high = x.min(axis=0), x.max(axis=0)
+    memory_estimate.within_numbers(scene, obj, low, high)
+    check_inside(scene, obj, low, high, 0.0)
+    voxels = Voxels.enclosing(x, spacing)
+    if points.volumes is not None:
+        volume = transform.scale**3 * points.volumes
+    elif points.spacing is not None:
+        volume = np.full(len(x), (transform.scale * points.spacing) ** 3)
+    else:
+        volume = volumes(voxels, x, None)
+    edge = np.cbrt(volume)
+    if not edge.max() <= scene.domain.cell:
+        message = f"a particle as large as a cube of {edge.max():.3g} m is larger than a cell of"
+        raise PlacementError("points", f"{message} {scene.domain.cell:g} m: it would leave gaps")
+
+    def outline() -> VoxelCollider:
+        """Return the signed distance of the surface."""
+        voxels.afford(BYTES_DISTANCES)
+        return VoxelCollider.from_voxels(obj.name, voxels, voxels.solid(None, x)).smoothed()
+
+    rgb = np.tile(obj.color, (len(x), 1)) if points.colors is None else points.colors
+    cloud = isotropic_gaussians(x, edge, rgb, obj.opacity)
+    return BuiltObject(cloud, volume, transform, surface_sdf=outline)
+
+
 _MAKE: dict[str, Callable[[Scene, int, Object], BuiltObject]] = {
     "shape": _from_shape,
     "mesh": _from_mesh,
     "gaussians": _from_gaussians,
+    "points": _from_points,
 }
 
 
@@ -355,29 +370,6 @@ def _pruned(scene: Scene, obj: Object, piece: BuiltObject) -> tuple[BuiltObject,
         passive=passive,
     )
     return thinner, f"; {pruned.summary}"
-
-
-def isotropic_gaussians(
-    x: np.ndarray, spacing: float, rgb: np.ndarray, opacity: float, shade: np.ndarray | None = None
-) -> GaussianCloud:
-    """Return round Gaussians at lattice points, as large as a ball of a lattice cell's volume.
-
-    Args:
-        x: Lattice points, shape (n, 3) [m].
-        spacing: Lattice spacing [m].
-        rgb: Colors, shape (n, 3).
-        opacity: Opacity of all.
-        shade: Factors of the painted light, shape (n,), see `apply_baked_shading`.
-    """
-    n = len(x)
-    return GaussianCloud(
-        x,
-        np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
-        np.full((n, 3), _UNIT_BALL_RADIUS * spacing),
-        np.full(n, opacity),
-        dc_from_rgb(rgb)[:, None, :].astype(np.float32),
-        shade,
-    )
 
 
 def _is_fluid(scene: Scene, obj: Object) -> bool:

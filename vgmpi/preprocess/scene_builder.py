@@ -26,6 +26,7 @@ from .body_regions import (
     sort_by_region,
     validate_region_particles,
 )
+from .built_object import BuiltObject
 from .collider_sdf import Collider, ShapeCollider, with_free_body, with_motion, with_shell
 from .initial_conditions import apply_initial_conditions
 from .initial_overlaps import subtract_objects, warn_of_overlaps
@@ -37,7 +38,7 @@ from .motion_checks import (
     validate_free_body,
     warn_of_distant_joints,
 )
-from .object_builder import BuiltObject, build_object
+from .object_builder import build_object
 from .passive_gaussians import bind_passive
 from .pinned_regions import PinnedRegion, resolve_pinned_parts, with_pinned_masses
 from .placement import PlacementError
@@ -287,11 +288,9 @@ def _surfaces(pieces: list[BuiltObject], bodies: list[int]) -> np.ndarray | None
 
 def _surface(piece: BuiltObject) -> np.ndarray:
     """Return the surface descriptors (n, 10) of one object, zeros where it has none."""
-    return (
-        np.zeros((len(piece.cloud), SURFACE))
-        if piece.surface_descriptor is None
-        else piece.surface_descriptor
-    )
+    if piece.surface_descriptor is None:
+        return np.zeros((len(piece.cloud), SURFACE))
+    return piece.surface_descriptor
 
 
 def _passive_gaussians(

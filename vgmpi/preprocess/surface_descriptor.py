@@ -13,8 +13,8 @@ from vgmpi.kernels.nodal_fields.surface_distance import MAX_DEPTH_CELLS
 from vgmpi.planning.particle_channels import CURVATURE_TO_FULL
 from vgmpi.scene.scene import Scene
 
+from .built_object import BuiltObject
 from .collider_sdf import Collider
-from .object_builder import BuiltObject
 
 SHEET_SEARCH_CELLS = 0.6  # [cells] from the surface: particles that test whether a body is a sheet
 # [cells] depth expected a cell below the surface, also at edges, and the fraction of the surface

@@ -20,6 +20,7 @@ from . import (
     loads,
     objects,
     pinned_parts,
+    point_sets,
     probes,
     regions,
     resume_rules,
@@ -83,6 +84,7 @@ def scene_reference() -> str:
             parts.append(_presets(material.presets))
     parts.append(_section("[[object]]", objects.Object))
     inner: dict[str, type[BaseModel]] = {
+        "points": point_sets.Points,
         "shape": shapes.Shape,
         "region": regions.Region,
         "sphere": shapes.Sphere,

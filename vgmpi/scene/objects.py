@@ -23,6 +23,7 @@ from .captures import Frame, Select, validate_select
 from .initial_fields import FractionProfile, Spin, Velocity, VelocityMode
 from .keyframes import Time
 from .pinned_parts import PinnedPart, validate_pinned
+from .point_sets import Points, validate_points
 from .regions import Region, validate_regions
 from .rigid_motion import Motion, validate_motion
 from .rigid_objects import FreeBody, validate_rigid
@@ -31,7 +32,7 @@ from .slip_lengths import validate_slip_length
 from .subtraction import Subtraction
 from .thin_walls import validate_thin
 
-SOURCES = ("gaussians", "mesh", "shape")
+SOURCES = ("gaussians", "mesh", "shape", "points")
 SIZES = ("height", "width", "depth", "scale")
 PER_CELL = (1, 8, 27, 64)
 BODY_ONLY_KEYS = tuple(
@@ -77,7 +78,7 @@ def _listed(value: Any) -> Any:
 
 
 class Object(StrictModel):
-    """Object of the scene: exactly one of gaussians, mesh, shape."""
+    """Object of the scene: exactly one of gaussians, mesh, shape, points."""
 
     name: Annotated[str, BeforeValidator(checked_name)]
     """unique name: letters, digits, spaces, _ and -, beginning with a letter"""
@@ -94,6 +95,8 @@ class Object(StrictModel):
     by the textures (map_Kd) and colors (Kd) of an .obj's materials, its points or its triangles"""
     shape: Shape | None = None
     """a solid made of simple shapes"""
+    points: Points | None = None
+    """a body of particles that a program gives as arrays"""
     frame: Frame | None = None
     """directions of x, y and z in a capture (gaussians), one each of R/L, U/D and F/B (right, left,
     up, down, forward, back), if they are not those of a .ply, "RDF": "RUB", for example. The
@@ -226,7 +229,7 @@ class Object(StrictModel):
 
     @property
     def source(self) -> str:
-        """Return which of gaussians, mesh, shape it is made from."""
+        """Return which of SOURCES it is made from."""
         return next(key for key in SOURCES if getattr(self, key) is not None)
 
     @property
@@ -301,7 +304,8 @@ def validate_object(raw: dict) -> list[tuple[tuple, str]]:
         errors.append(((sizes[1],), f"{' and '.join(sizes)} given at once: give one"))
     if "position" in raw and "origin" in raw:
         errors.append((("origin",), "position and origin given at once: give one"))
-    if sources and "shape" not in raw and "position" not in raw and "origin" not in raw:
+    placed = {"shape", "points", "position", "origin"}.intersection(raw)
+    if sources and not placed:
         errors.append(((), "needs a position (of the middle of its base) or an origin"))
     if sources == ["shape"]:
         errors += validate_shape(raw["shape"], ("shape",))
@@ -332,7 +336,7 @@ def validate_object(raw: dict) -> list[tuple[tuple, str]]:
     errors = [error for error in errors if error[0] not in excluded] + rigid
     errors += [error for error in validate_regions(raw) if error[0] not in excluded]
     errors += validate_slip_length(raw, scenery) + validate_pinned(raw, scenery)
-    errors += validate_thin(raw, scenery)
+    errors += validate_thin(raw, scenery) + validate_points(raw, scenery)
     return errors + ([] if scenery else _validate_prescribed(raw))
 
 

@@ -1,0 +1,55 @@
+"""One object in the domain, as it was built, and the Gaussians of particles that have none."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from vgmpi.gaussians.cloud import GaussianCloud
+from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
+
+from .collider_sdf import Collider
+from .placement import SimilarityTransform
+
+_UNIT_BALL_RADIUS = (3 / (4 * np.pi)) ** (1 / 3)  # [-] radius of a ball of volume 1
+
+
+@dataclass(frozen=True)
+class BuiltObject:
+    """One object in the domain: its Gaussians, their volumes [m3], and its placement."""
+
+    cloud: GaussianCloud
+    volume: np.ndarray
+    placement: SimilarityTransform
+    collider: Collider | None = None
+    theta: np.ndarray | None = None  # (n,) ln J at the start, None for 0
+    surface_count: int = 0  # number of first rows that lie on its surface; the others fill it
+    passive: GaussianCloud | None = None  # Gaussians without mass that ride along
+    summary: str = ""  # text on the particle counts and on the volume convention
+    surface_sdf: Callable[[], Collider] | None = None  # builds the signed distance of its surface
+    surface_descriptor: np.ndarray | None = None  # (n, 10), see surface_descriptor.py
+    region_counts: tuple[int, ...] = ()  # particles of each region; they are last, in this order
+
+
+def isotropic_gaussians(
+    x: np.ndarray, spacing: float | np.ndarray, rgb: np.ndarray, opacity: float,
+    shade: np.ndarray | None = None,
+) -> GaussianCloud:  # fmt: skip
+    """Return round Gaussians at lattice points, as large as a ball of a lattice cell's volume.
+
+    Args:
+        x: Lattice points, shape (n, 3) [m].
+        spacing: Lattice spacing, or the edge of each point's cube, shape (n,) [m].
+        rgb: Colors, shape (n, 3).
+        opacity: Opacity of all.
+        shade: Factors of the painted light, shape (n,), see `apply_baked_shading`.
+    """
+    n = len(x)
+    return GaussianCloud(
+        x,
+        np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
+        np.tile(_UNIT_BALL_RADIUS * np.broadcast_to(spacing, n)[:, None], 3),
+        np.full(n, opacity),
+        dc_from_rgb(rgb)[:, None, :].astype(np.float32),
+        shade,
+    )
