@@ -12,7 +12,7 @@ from typing import NamedTuple
 import vgmpi
 from tests.support.launch import mpirun
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.planning.cost.plan_report import predicted_seconds
+from vgmpi.planning.cost.run_estimate import predicted_seconds
 from vgmpi.solver.estimates.calibration import host_throughput
 from vgmpi.solver.estimates.pilot_run import pilot_run
 from vgmpi.solver.initial_particles import plan_for, prepare

@@ -73,4 +73,4 @@ def test_files_have_the_size_that_the_plan_tells(tmp_path, body, fields, transfe
     (checkpoint,) = (out / "checkpoints").glob("*.h5")
     fixed = 60_000  # [bytes] tables of blocks, names, attributes
     assert 0 <= checkpoint.stat().st_size - checkpoint_bytes(plan) < fixed < count * 40
-    assert "files       3 frames of " in file_size_line(scene, plan)
+    assert "disk        3 frames of " in file_size_line(scene, plan)

@@ -12,10 +12,10 @@ from tests.support.small_scenes import write
 from vgmpi.materials import registry
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.planning.cost.feature_costs import step_ns
-from vgmpi.planning.cost.plan_report import (
+from vgmpi.planning.cost.plan_report import format_plan
+from vgmpi.planning.cost.run_estimate import (
     FRAME_SECONDS,
     SECONDS_PER_WRITTEN_PARTICLE,
-    format_plan,
     rank_overhead,
 )
 from vgmpi.planning.cost.throughput import ASSUMED_THROUGHPUT, Throughput
@@ -73,7 +73,7 @@ def test_other_laws_take_one_number_of_steps(tmp_path):
     text = text.replace("max_hardening", "# max_hardening")
     said = said_of(write(tmp_path, text.replace("youngs", "density = 400\nyoungs")))
     assert re.search(r"steps +about [\d,]+ for 0.025 s", said) and "hardens" not in said
-    assert "single precision (numbers of 7 digits" in said
+    assert "precision   single: numbers of 7 digits" in said
 
 
 def test_a_fixed_step_is_no_range(tmp_path):
@@ -117,11 +117,11 @@ shape = { box = [[0, 0, 0], [0.32, 0.16, 0.02]] }
 
 def test_solids_too_thin_for_fluids_are_named(tmp_path, monkeypatch):
     """However they are turned; where there is nothing to float in, nobody measures them."""
-    (line,) = [s for s in said_of(write(tmp_path, PLATE + POOL)).splitlines() if "thin" in s]
-    found = re.fullmatch(r"  thin        plate (\S+) cells thick, under 6: how .* inexact", line)
+    (line,) = [s for s in said_of(write(tmp_path, PLATE + POOL)).splitlines() if "cells thick" in s]
+    found = re.fullmatch(r"  note        plate (\S+) cells thick, under 6: how .* inexact", line)
     assert float(found[1]) == pytest.approx(3.0, abs=0.6)
     monkeypatch.delattr(initial_particles, "_thickness")
-    assert "thin " not in said_of(write(tmp_path, PLATE))
+    assert "cells thick" not in said_of(write(tmp_path, PLATE))
 
 
 def line_of(said, name):

@@ -48,6 +48,15 @@ def test_a_scene_is_a_file(odd, capsys):
     assert line.startswith(f"{odd}: is no regular file")
 
 
+@pytest.mark.parametrize("suffix", ["", ".ply", ".obj", ".spz", ".h5"])
+def test_what_is_inspected_is_a_file(tmp_path, suffix, capsys):
+    path = tmp_path / f"pipe{suffix}"
+    os.mkfifo(path)
+    assert cli.main(["--inspect", str(path)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert str(path) in line and "no regular file" in line
+
+
 def test_settings_cameras_and_backgrounds_are_files(odd):
     with pytest.raises(SettingsError, match="is no regular file"):
         camera_selection.transforms(odd)

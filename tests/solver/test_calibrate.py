@@ -2,6 +2,7 @@
 
 import json
 import logging
+import os
 import time
 
 import pytest
@@ -62,6 +63,15 @@ def test_another_cube_is_measured_anew(asked, monkeypatch):
     calibration.host_throughput("single")
     monkeypatch.setattr(calibration, "SCENE", calibration.SCENE + "# other")
     assert calibration.cached_throughput("single") is None
+
+
+def test_a_pipe_in_place_of_the_cache_is_not_read(asked, tmp_path):
+    """A reader of a pipe waits for ever; the measurement then replaces it."""
+    path = calibration._path()
+    path.parent.mkdir(parents=True)
+    os.mkfifo(path)
+    first = calibration.host_throughput("single")
+    assert path.is_file() and calibration.cached_throughput("single") == first
 
 
 def test_the_cube_is_timed_without_what_the_plan_adds(tmp_path):

@@ -20,7 +20,7 @@ def tree(tmp_path_factory):
 @pytest.mark.parametrize(
     ("more", "code", "said"),
     [
-        ("", 0, "nothing is wrong with it"),
+        ("", 0, "0 errors, 0 warnings"),
         (SAND, 2, "material.sand.kind: must be one of"),
         (MIXES, 2, "coupling"),
     ],

@@ -20,7 +20,8 @@ from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.planning.cost import pilot_result
 from vgmpi.planning.cost.feature_costs import step_ns
 from vgmpi.planning.cost.pilot_result import PilotRun, Snapshot
-from vgmpi.planning.cost.plan_report import FRAME_SECONDS, format_plan
+from vgmpi.planning.cost.plan_report import format_plan
+from vgmpi.planning.cost.run_estimate import FRAME_SECONDS
 from vgmpi.planning.cost.throughput import Throughput
 from vgmpi.solver.diagnostics import progress
 from vgmpi.solver.estimates.pilot_run import _snapshot, pilot_run

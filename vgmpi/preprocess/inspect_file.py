@@ -38,6 +38,8 @@ def describe_file(path: Path) -> str:
 
     Raises GaussianFileError or MeshError, one line that names the file.
     """
+    if path.exists() and not path.is_file():  # a reader of a pipe or a device may wait forever
+        raise GaussianFileError(f"{path}: is no regular file")
     suffix = path.suffix.lower()
     if suffix in surface_mesh.FORMATS and suffix not in registry.KINDS:
         return _mesh(path)

@@ -34,6 +34,7 @@ from .thin_walls import validate_thin
 
 SOURCES = ("gaussians", "mesh", "shape", "points")
 SIZES = ("height", "width", "depth", "scale")
+MAX_NAME_BYTES = 120  # [bytes] of a name in UTF-8; a file's name has 255 with what is added to it
 PER_CELL = (1, 8, 27, 64)
 BODY_ONLY_KEYS = tuple(
     "material region velocity angular_velocity velocity_mode volume_fraction"
@@ -54,6 +55,9 @@ def checked_name(value: Any) -> str:
     """Return a name that can stand in messages and file names; raise ValueError for others."""
     if not isinstance(value, str) or not re.fullmatch(r"[^\W\d][\w -]*", value):
         raise ValueError("must begin with a letter and hold letters, digits, spaces, _ and - only")
+    size = len(value.encode(errors="surrogatepass"))
+    if size > MAX_NAME_BYTES:
+        raise ValueError(f"is {size} bytes long; at most {MAX_NAME_BYTES} are possible")
     return value
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from vgmpi.io import checkpoint, file_layout, hdf5_writer, run_lock, run_reader
 from vgmpi.parallel.communicator import SerialCommunicator, init_communicator
-from vgmpi.planning.cost.plan_report import format_plan, holding_wall_line
+from vgmpi.planning.cost.plan_report import format_plan
 from vgmpi.planning.plan import FLOAT_TYPES
 from vgmpi.runtime import memory_budget
 from vgmpi.runtime.config.schema import SceneError
@@ -136,7 +136,10 @@ def _add_flags_of_execution(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("-q", "--quiet", action="store_true", help="errors only")
     parser.add_argument(
-        "-v", "--verbose", action="store_true", help="print the traceback of an error"
+        "-v",
+        "--verbose",
+        action="store_true",
+        help="print the details of the plan, and the traceback of an error",
     )
 
 
@@ -218,7 +221,9 @@ def _command(args: argparse.Namespace, ranks: SerialCommunicator) -> int:
     scene = load(args.scene, args.set)
     folder = args.output or scene.folder / scene.output.folder
     if args.check:
-        return _check(args, scene)
+        from .check_command import check_scene
+
+        return check_scene(scene)
     refusal = _slurm_mismatch(ranks)
     refusal = refusal or (_engine_refusal(args, scene) if args.plan else _folder_problem(folder))
     if refusal:
@@ -255,29 +260,11 @@ def _command(args: argparse.Namespace, ranks: SerialCommunicator) -> int:
         is_wanted = args.pilot or is_quick
         limit = math.inf if args.pilot else PILOT_SECONDS  # estimates may be wrong
         pilot = pilot_run(scene, plan, summary, not args.pilot, limit) if is_wanted else None
-        print(format_plan(scene, plan, ranks.size, start_time, pace, pilot))
+        print(format_plan(scene, plan, ranks.size, start_time, pace, pilot, args.verbose))
         if args.engine == "cuda":
             print(card_module(ranks).memory_report(plan, ranks.size))
     refusal = memory_refusal(plan.bytes(), ranks)
     return refuse([refusal], ranks) if refusal and not args.force else 0
-
-
-def _check(args: argparse.Namespace, scene: Scene) -> int:
-    """Make the particles of a scene and print what is wrong with it; return the exit code."""
-    from vgmpi.planning.cost.timestep_advice import soft_liquid_lines
-    from vgmpi.preprocess.holding_walls import holding_walls
-    from vgmpi.preprocess.liquid_weight import closed_box_tensions, liquid_weights
-    from vgmpi.preprocess.scene_builder import build_scene
-
-    # only this finds unreadable files and bodies outside the domain
-    particles = build_scene(scene)
-    objects, x = particles.objects, particles.x
-    tensions = closed_box_tensions(scene, objects, x, particles.vol0)
-    lines = soft_liquid_lines(scene, liquid_weights(scene, objects, x), tensions)
-    lines += [f"wall {holding_wall_line(name)}" for name in holding_walls(scene, objects, x)]
-    other = "else " * bool(lines or particles.warnings)
-    print("\n".join([*lines, f"{args.scene}: nothing {other}is wrong with it"]))
-    return 0
 
 
 def _engine_refusal(args: argparse.Namespace, scene: Scene) -> str:

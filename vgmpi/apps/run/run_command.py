@@ -8,10 +8,12 @@ from pathlib import Path
 
 from vgmpi.parallel.communicator import MpiCommunicator, SerialCommunicator
 from vgmpi.parallel.launch import describe_stop, find_launcher
-from vgmpi.planning.cost.plan_report import format_duration, format_plan, predicted_seconds
+from vgmpi.planning.cost.plan_report import format_plan
+from vgmpi.planning.cost.run_estimate import predicted_seconds
 from vgmpi.planning.cost.throughput import ASSUMED_THROUGHPUT, Throughput
 from vgmpi.planning.plan import Plan
 from vgmpi.runtime.config.schema import SceneError
+from vgmpi.runtime.duration_text import format_duration
 from vgmpi.scene.scene import Scene
 from vgmpi.solver import run as runs
 from vgmpi.solver.diagnostics import progress as report
@@ -62,7 +64,8 @@ class PlanApproval:
             self.estimator = RemainingTimeEstimator(
                 *pilot.ahead(scene, plan, pace or ASSUMED_THROUGHPUT[real])
             )
-        print(format_plan(scene, plan, ranks.size, start_time, pace, pilot), flush=True)
+        text = format_plan(scene, plan, ranks.size, start_time, pace, pilot, args.verbose)
+        print(text, flush=True)
         if pace is not None and start_time == 0:
             self.prediction = predicted_seconds(scene, plan, ranks.size, pace, pilot)
 

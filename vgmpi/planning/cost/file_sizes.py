@@ -31,10 +31,10 @@ def checkpoint_bytes(plan: Plan) -> int:
 
 
 def file_size_line(scene: Scene, plan: Plan) -> str:
-    """Return the line of --plan about the files."""
+    """Return the line of a plan about the files."""
     frame, frames = frame_bytes(scene, plan), len(plan.times)
     return (
-        f"  files       {frames} frames of {_size(frame)}, {_size(frame * frames)} in all;"
+        f"  disk        {frames} frames of {_size(frame)}, {_size(frame * frames)} in all;"
         f" a checkpoint takes {_size(checkpoint_bytes(plan))}"
     )
 

@@ -27,7 +27,7 @@ def rigid_body_lines(scene: Scene, plan: Plan) -> list[str]:
         lines = [_summary_line(bodies, plan.dx)]
     else:
         lines = [_body_line(body, density[body.name], liquids, plan.dx) for body in bodies]
-    return lines + _warnings(plan, density)
+    return lines
 
 
 def pinned_lines(plan: Plan) -> list[str]:
@@ -97,26 +97,28 @@ def _summary_line(bodies: tuple[RigidBodySummary, ...], dx: float) -> str:
     )
 
 
-def _warnings(plan: Plan, density: dict[str, float]) -> list[str]:
-    """Return lines on bodies that are thin, light, or overlap something at the start.
+def rigid_body_warnings(scene: Scene, plan: Plan) -> list[str]:
+    """Return a line on bodies that are thin, light, or overlap something at the start.
 
     Args:
-        plan: The plan.
-        density: Density of each body [kg/m3].
+        scene: The scene.
+        plan: Its plan.
     """
-    assert plan.rigid is not None
+    density = {obj.name: obj.free_body.density for obj in scene.object if obj.free_body}
+    if not density or plan.rigid is None:
+        return []
     lines = []
     thin = [body.name for body in plan.rigid.bodies if is_thin(body.thickness, plan.dx)]
     if thin:
         lines.append(
-            f"  warning     {_listing(thin)}: rigid and thinner than {MIN_THICKNESS_CELLS:g} cells:"
+            f"{_listing(thin)}: rigid and thinner than {MIN_THICKNESS_CELLS:g} cells:"
             " what flows may pass through"
         )
     heaviest = max(group.density for group in plan.groups)
     light = [name for name, value in density.items() if value < MIN_DENSITY_RATIO * heaviest]
     if light:
         lines.append(
-            f"  warning     {_listing(light)}: rigid and lighter than {MIN_DENSITY_RATIO:g} of the"
+            f"{_listing(light)}: rigid and lighter than {MIN_DENSITY_RATIO:g} of the"
             f" heaviest that it may meet, {heaviest:g} kg/m3: not tested"
         )
     joined = {frozenset(joint.between) for joint in plan.joints if joint.kind != "spring"}
@@ -124,10 +126,10 @@ def _warnings(plan: Plan, density: dict[str, float]) -> list[str]:
     for pair in overlaps[:MAX_LINES]:
         names = map(escape_control_characters, (pair.name, pair.other))
         lines.append(
-            f"  warning     {' and '.join(names)} overlap at the start by"
+            f"{' and '.join(names)} overlap at the start by"
             f" {pair.depth / plan.dx:.2g} cells ({pair.depth:.3g} m):"
             " they are pushed apart slowly"
         )
     if len(overlaps) > MAX_LINES:
-        lines.append(f"  warning     {len(overlaps) - MAX_LINES} more pairs overlap less")
+        lines.append(f"{len(overlaps) - MAX_LINES} more pairs overlap less")
     return lines

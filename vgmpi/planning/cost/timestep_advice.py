@@ -1,4 +1,4 @@
-"""Advice of --plan on settings that would allow longer time steps, with their keys and places."""
+"""Advice of a plan on settings that would allow longer time steps, with their keys and places."""
 
 import math
 from collections.abc import Callable
@@ -86,7 +86,7 @@ def _soft_line(scene: Scene, name: str, effect: str, pressure: float) -> str:
         "tait_coefficient": pressure / (allowed * liquid.tait_exponent),
     }[key]
     return (
-        f"  soft        {escape_control_characters(name)}: {effect}; at"
+        f"{escape_control_characters(name)} is soft: {effect}; at"
         f" {scene.place(('material', name, key))} = {value:.2g} {UNITS[key]} it is"
         f" {100 * allowed:g} %"
     )
@@ -115,11 +115,11 @@ def limiting_material_lines(scene: Scene, plan: Plan, compare: Callable[[float],
     return [
         f"  advice      without {escape_control_characters(limit)} steps would be"
         f" {times:.1f} times as long: they grow as {where} becomes less;"
-        f" at {value:.2g} {UNITS[key]} {compare(1 / times)}{_rigid_clause(scene, plan, name)}"
+        f" at {value:.2g} {UNITS[key]} {compare(1 / times)}{rigid_clause(scene, plan, name)}"
     ]
 
 
-def _rigid_clause(scene: Scene, plan: Plan, name: str) -> str:
+def rigid_clause(scene: Scene, plan: Plan, name: str) -> str:
     """Return the advice to make the bodies of a stiff solid rigid, or an empty text.
 
     What remains has particles, since another bound of the step exists.

@@ -18,6 +18,7 @@ from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.planning.cost.throughput import ASSUMED_THROUGHPUT, Throughput
 from vgmpi.planning.plan import Plan, make_plan
 from vgmpi.runtime.cpu_features import model, user_folder
+from vgmpi.runtime.safe_open import MAX_TEXT_BYTES, read_regular_file
 from vgmpi.scene.loader import load
 from vgmpi.solver.compile_kernels import compile_kernels
 from vgmpi.solver.simulation import Simulation
@@ -159,7 +160,7 @@ def _key(precision: str) -> str:
 def _read_cache() -> dict:
     """Return the content of the cache; empty if the file is missing or damaged."""
     try:
-        content = json.loads(_path().read_text(encoding="utf-8"))
+        content = json.loads(read_regular_file(_path(), MAX_TEXT_BYTES))
     except (OSError, ValueError, RecursionError):
         return {}
     return content if isinstance(content, dict) else {}

@@ -1,0 +1,204 @@
+"""Details of a plan, printed with -v: phases, contacts, walls, and the price of particles."""
+
+from vgmpi.materials.couplings.interaction import CONTACT, RULES
+from vgmpi.planning.correction_intervals import shift_cost
+from vgmpi.planning.inlet_schedule import InletPlan
+from vgmpi.planning.plan import Plan
+from vgmpi.planning.region_groups import group_counts
+from vgmpi.planning.step_costs import COSTS
+from vgmpi.runtime.config.toml_source import escape_control_characters
+from vgmpi.scene.scene import Scene
+
+from . import accuracy_benchmarks
+from .feature_costs import feature_table
+from .rigid_body_lines import pinned_lines, rigid_body_lines
+from .throughput import Throughput
+
+PRECISION = {
+    "double": "accuracy.precision = 'single' takes half the time and memory",
+    "single": "numbers of 7 digits; 'double' has 16 for twice the time",
+}
+FINE_COUNT = 27  # particles per cell with which solids bend accurately enough
+
+
+def plan_details(scene: Scene, plan: Plan, pace: Throughput) -> list[str]:
+    """Return the lines on everything of a plan that time, memory and files follow from.
+
+    Args:
+        scene: The scene.
+        plan: Its plan.
+        pace: Throughput of the processors.
+    """
+    lines = [f"  precision   {scene.accuracy.precision}: {PRECISION[scene.accuracy.precision]}"]
+    lines += _phases(plan) + _regions(scene, plan) + _couplings(plan) + _walls(plan)
+    lines += rigid_body_lines(scene, plan) + pinned_lines(plan) + _joints(scene)
+    lines += _slip(scene) + _flows(plan) + _accuracy_notes(scene, plan)
+    return (
+        lines + accuracy_benchmarks.preset_accuracy_lines(scene) + feature_table(scene, plan, pace)
+    )
+
+
+def _phases(plan: Plan) -> list[str]:
+    """Return a line on the particles of each group, by phases."""
+    lines = []
+    for phase in plan.phases[: plan.phases_of_bodies]:
+        for g, group in enumerate(plan.groups):
+            if plan.phases[group.phase] is not phase:
+                continue
+            n = sum(count for count, group_number in group_counts(plan) if group_number == g)
+            fields = ", ".join(f"{name} {size}" for name, size in plan.fields(g).items())
+            lines.append(
+                f"  phase       {phase.name}: {n:,} {'pinned ' * group.pinned}particles of"
+                f" {group.material}"
+                f" ({group.family}), {plan.bytes_per_particle(g)} bytes each: {fields};"
+                f" once for all: density and {len(group.law)} numbers of the law"
+            )
+    return lines
+
+
+def _couplings(plan: Plan) -> list[str]:
+    """Return a line on the interaction of each two phases."""
+    lines = []
+    for a in range(plan.phases_of_bodies):
+        for b in range(a + 1, plan.phases_of_bodies):
+            names = f"{plan.phases[a].name} - {plan.phases[b].name}"
+            rule = plan.rules.pair[a, b] if plan.rules else CONTACT
+            how = f"friction {plan.friction[a][b]:g}" if rule == CONTACT else "they share space"
+            lines.append(f"  {RULES[rule]:11s} {names}: {how}")
+    return lines
+
+
+def _walls(plan: Plan) -> list[str]:
+    """Return the lines about the walls of the domain."""
+    is_liquid = [phase.is_liquid for phase in plan.phases]
+    walls = []
+    for k, (wall, friction) in enumerate(plan.walls_of_solids):
+        kind = plan.walls[k][0]
+        if kind != wall and any(is_liquid):
+            wall = kind if all(is_liquid) else f"{kind} for liquids and {wall} for the rest"
+        time = "" if plan.opens[k] is None else f" until {plan.opens[k]:g} s"
+        walls.append(wall + (f" (friction {friction:g})" if friction else "") + time)
+    return ["  walls       " + ", ".join(walls)]
+
+
+def _regions(scene: Scene, plan: Plan) -> list[str]:
+    """Return a line for each region of a body."""
+    return [
+        f"  region      {escape_control_characters(scene.object[region.thing].name)}:"
+        f" {region.particles:,} of its {plan.count[region.thing]:,} particles are of"
+        f" {escape_control_characters(plan.groups[region.group].material)}"
+        for region in plan.regions
+    ]
+
+
+def _joints(scene: Scene) -> list[str]:
+    """Return the line that names the joints."""
+    joints = [f"{joint.kind} of {' and '.join(joint.between)}" for joint in scene.joint]
+    return [f"  joints      {_listing(joints)}"] if joints else []
+
+
+def _thin_walls(scene: Scene) -> list[str]:
+    """Return the line that names the thin walls."""
+    names = [obj.name for obj in scene.object if obj.thin]
+    if not names:
+        return []
+    return [f"  thin walls  {_listing(names)}: what flows on one side does not feel the other"]
+
+
+def _slip(scene: Scene) -> list[str]:
+    """Return a line on each collider on which the slip of viscous liquids is limited."""
+    colliders = [obj for obj in scene.object if obj.collider]
+    lines = [
+        f"  slip        {escape_control_characters(obj.name)}: viscous liquids"
+        + (f" slip with a length of {obj.slip_length:g} m" if obj.slip_length else " stick to it")
+        for obj in colliders
+        if obj.slip_length is not None
+    ]
+    return lines
+
+
+def _flows(plan: Plan) -> list[str]:
+    """Return the lines on inlets and outlets; memory and time include all that enters."""
+    lines = [
+        f"  inlet       {escape_control_characters(source.name)}:"
+        f" {source.particles:,} particles,"
+        f" {len(source.mouth)} every {source.period:.4g} s, at {source.speed:.4g} m/s:"
+        f" {_flow(plan, source):.4g} kg/s"
+        for source in plan.sources
+    ]
+    return lines + [f"  outlet      {escape_control_characters(sink.name)}" for sink in plan.sinks]
+
+
+def _flow(plan: Plan, source: InletPlan) -> float:
+    """Return the mass flow rate of an inlet [kg/s]."""
+    density = plan.groups[source.group].density
+    return density * len(source.mouth) * source.volume / source.period
+
+
+def _accuracy_notes(scene: Scene, plan: Plan) -> list[str]:
+    """Return the lines on what the scene's resolution and options make inexact."""
+    lines = _thin_walls(scene) + _restored(plan) + _without_cells(scene, plan)
+    return lines + _sheets(plan) + _bending(scene, plan)
+
+
+def _restored(plan: Plan) -> list[str]:
+    """Return the line on the cost of the transfer correction and its cheaper alternative."""
+    if not plan.restores:
+        return []
+    often = f"every {plan.restores} steps" if plan.restores > 1 else "with every step"
+    less = _relative_cost_of_apic(plan)
+    return [
+        f"  transfer    what transfers take from motion is given back {often};"
+        f' accuracy.transfer = "apic" takes {less:.2f} of the time, and waves and spin die sooner'
+    ]
+
+
+def _relative_cost_of_apic(plan: Plan) -> float:
+    """Return the cost of the same steps with APIC transfers: shifts of particles need some, too."""
+    shifting = sum(n for n, g in group_counts(plan) if plan.groups[g].shifts)
+    corrected, apic = 1.0 + COSTS.correction.total / plan.restores, 1.0
+    if shifting:
+        share, interval = shifting / plan.particles, plan.shift_interval
+        corrected += share * shift_cost(True, interval, by_volume=False).total
+        apic += share * shift_cost(False, interval, by_volume=False).total
+    return apic / corrected
+
+
+def _without_cells(scene: Scene, plan: Plan) -> list[str]:
+    """Return a line on the liquids that do not follow the dilatation by cells asked for."""
+    if scene.accuracy.dilatation != "cells":
+        return []
+    names = [group.name for group in plan.groups if group.is_liquid and not group.cell_dilatation]
+    message = "by particles: only liquids that share no space with others follow cells"
+    return [f"  dilatation  {_listing(names)} {message}"] if names else []
+
+
+def _listing(names: list[str]) -> str:
+    return ", ".join(map(escape_control_characters, names))
+
+
+def _sheets(plan: Plan) -> list[str]:
+    """Return a line on the solids that contact knows by their particles alone."""
+    if not any(phase.surface for phase in plan.phases):
+        return []
+    names = [p.name for p in plan.phases if p.families == ("solid",) and not p.surface]
+    if not names:
+        return []
+    message = "thinner than some two cells: their sides touch by particles, less exactly"
+    return [f"  sheets      {', '.join(map(escape_control_characters, names))} {message}"]
+
+
+def _bending(scene: Scene, plan: Plan) -> list[str]:
+    """Return a line on the softness of coarse solids (tests/physics/test_cantilever.py)."""
+    counts = {
+        scene.things[k].particles_per_cell
+        for phase in plan.phases if phase.families == ("solid",) for k in phase.objects
+        if scene.things[k].particles_per_cell < FINE_COUNT
+    }  # fmt: skip
+    if not counts:
+        return []
+    message = (
+        "particles per cell of solids: what bends far is up to 10 % too soft"
+        f" ({FINE_COUNT}: 6 %, 64:"
+    )
+    return [f"  bending     {', '.join(map(str, sorted(counts)))} {message} 4 %)"]

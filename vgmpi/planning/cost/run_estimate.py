@@ -1,0 +1,97 @@
+"""Steps and time of a run, predicted from its plan and from a pilot run if there is one."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from vgmpi.planning.plan import Plan, time_step_bounds
+from vgmpi.scene.scene import Scene
+
+from .feature_costs import PARTICLES_PER_BLOCK, step_ns
+from .pilot_result import STEP_SECONDS, PilotRun
+from .throughput import Throughput
+
+# [s] time to write a frame, and a particle in it (a run's `--profile`: write)
+FRAME_SECONDS, SECONDS_PER_WRITTEN_PARTICLE = 0.025, 1e-7
+# [-] overhead of ranks, fitted on two ranks to scenes of `python -m tests.benchmarks predictions`
+HALO_OVERHEAD = 2.0
+
+
+def predicted_seconds(
+    scene: Scene, plan: Plan, ranks: int, pace: Throughput, pilot: PilotRun | None = None
+) -> float:
+    """Return the time [s] of a run from its start, without start-up and compilation.
+
+    Args:
+        scene: The scene.
+        plan: Its plan.
+        ranks: Number of ranks.
+        pace: Throughput of the processors.
+        pilot: Result of a pilot run.
+    """
+    dt = plan.fixed_dt or time_step_bounds(scene, plan)[0][0]
+    steps = step_count(plan, dt, 0.0) if pilot is None else math.ceil(pilot.steps)
+    return steps * step_seconds(scene, plan, ranks, pace, pilot) + writing_seconds(plan, ranks)
+
+
+def step_seconds(
+    scene: Scene, plan: Plan, ranks: int, pace: Throughput, pilot: PilotRun | None
+) -> float:
+    """Return the mean time [s] of a step."""
+    if pilot is None:
+        ns = step_ns(scene, replace(plan, count=mean_counts(plan)), pace)
+    else:
+        ns = pilot.work(scene, plan, pace).sum() / pilot.steps
+    return 1e-9 * ns / ranks * rank_overhead(plan, ranks) + STEP_SECONDS
+
+
+def mean_counts(plan: Plan) -> tuple[int, ...]:
+    """Return the mean number of particles of each object and inlet over the run.
+
+    Those of an inlet enter one layer after the other; what leaves through outlets is not known.
+
+    Args:
+        plan: The plan.
+    """
+    counts, end = list(plan.count), float(plan.times[-1])
+    for source in plan.sources:
+        middle = source.start + 0.5 * source.layers * source.period  # [s] of the mean layer
+        counts[source.entity] = round(
+            counts[source.entity] * min(max(1.0 - middle / end, 0.0), 1.0)
+        )
+    return tuple(counts)
+
+
+def rank_overhead(plan: Plan, ranks: int) -> float:
+    """Return the time of a step on several ranks over an even share of that on one.
+
+    Nodes at the faces of a rank's piece are computed by its neighbors, too, and ranks wait for each
+    other: both grow as the surface of a piece over its volume, in blocks.
+    """
+    blocks = sum(proximity.blocks for proximity in plan.surroundings)
+    blocks = max(blocks, sum(plan.count) // PARTICLES_PER_BLOCK, 1)
+    return 1.0 + HALO_OVERHEAD * (ranks / blocks) ** (1.0 / 3.0) * (1.0 - 1.0 / ranks)
+
+
+def writing_seconds(plan: Plan, ranks: int, frames: int | None = None) -> float:
+    """Return the time [s] of writing so many frames, by default all."""
+    each = FRAME_SECONDS + SECONDS_PER_WRITTEN_PARTICLE * sum(plan.count) / ranks
+    return each * (len(plan.times) if frames is None else frames)
+
+
+def step_count(plan: Plan, dt: float, reached: float) -> int:
+    """Return the number of steps until the end, with those that prescribed motions shorten.
+
+    Args:
+        plan: The plan.
+        dt: Step [s] without them.
+        reached: Time [s] from which the run continues.
+    """
+    end, count = float(plan.times[-1]), len(plan.motion_steps)
+    if not count:
+        return math.ceil((end - reached) / dt)
+    edges = np.linspace(0.0, end, count + 1)
+    share = np.clip((edges[1:] - reached) / np.diff(edges), 0.0, 1.0)
+    steps = np.maximum(np.diff(edges) / dt, plan.motion_steps)
+    return math.ceil(float((share * steps).sum()))
