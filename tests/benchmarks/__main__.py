@@ -291,7 +291,6 @@ def _predictions(parser) -> None:
 
     names = [*ADJUSTED, *HELD_OUT]
     parser.add_argument("scenes", nargs="*", default=names, help="folders of runs/, or files")
-    parser.add_argument("--ranks", type=int, default=2, metavar="N", help="default 2")
 
 
 def _run_predictions(args) -> int:
@@ -300,7 +299,7 @@ def _run_predictions(args) -> int:
     print(predictions.HEAD, flush=True)
     results = []
     for scene in args.scenes:
-        results.append(predictions.measure(scene, args.ranks))
+        results.append(predictions.measure(scene))
         print(predictions.row(results[-1]), flush=True)
     return 0 if all(result.holds for result in results) else 1
 

@@ -16,6 +16,7 @@ from vgmpi.planning.cost.plan_report import format_plan
 from vgmpi.planning.cost.run_estimate import (
     FRAME_SECONDS,
     SECONDS_PER_WRITTEN_PARTICLE,
+    mean_counts,
     rank_overhead,
 )
 from vgmpi.planning.cost.throughput import ASSUMED_THROUGHPUT, Throughput
@@ -242,3 +243,37 @@ def test_pinned_particles_that_move_cost_more(tmp_path):
     moves = HELD_BEAM.replace('to = "world"', "motion = { velocity = [0, 0, 0.01] }")
     text = said_of(write(tmp_path, moves))
     assert re.search(r"\(pinned to world\)/rubber: carried by what holds it +121\.5", text), text
+
+
+POURED = (
+    HELD_BEAM.replace("end = 0.01", "end = 1")
+    + """
+[material.water]
+kind = "fluid"
+max_speed = 2
+[[inlet]]
+name = "tap"
+material = "water"
+disc = { center = [0.2, 0.1, 0.17], radius = 0.03 }
+speed = 0.5
+end_time = 0.4
+"""
+)
+
+
+def test_the_time_of_what_pours_onto_bodies_is_a_lower_bound(tmp_path):
+    """The inlet is named, unless nothing is below it or a pilot run saw what it meets."""
+    line = line_of(said_of(write(tmp_path, POURED)), "time       ")
+    assert re.match(r"  time        at least \d+ s on 1 rank", line), line
+    assert "what pours from tap costs more where it meets bodies" in line
+    line = line_of(said_of(write(tmp_path, HELD_BEAM)), "time       ")
+    assert "at least" not in line and "pours" not in line
+
+
+def test_particles_of_inlets_count_from_when_they_enter(tmp_path):
+    """A pour from 0 to 0.4 s of 1 s: four fifths of its particles are there in the mean."""
+    scene = vgmpi.load(write(tmp_path, POURED))
+    plan = plan_for(scene, prepare(scene, SerialCommunicator(), None))
+    beam, water = mean_counts(plan)
+    assert beam == plan.count[0]
+    assert water == pytest.approx(0.8 * plan.count[1], rel=0.02)

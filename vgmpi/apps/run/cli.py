@@ -13,6 +13,7 @@ from pathlib import Path
 from vgmpi.io import checkpoint, file_layout, hdf5_writer, run_lock, run_reader
 from vgmpi.parallel.communicator import SerialCommunicator, init_communicator
 from vgmpi.planning.cost.plan_report import format_plan
+from vgmpi.planning.cost.run_estimate import pours_onto_bodies
 from vgmpi.planning.plan import FLOAT_TYPES
 from vgmpi.runtime import memory_budget
 from vgmpi.runtime.config.schema import SceneError
@@ -24,7 +25,8 @@ from vgmpi.solver.stop_requests import install_signal_handlers
 log = logging.getLogger("vgmpi")
 
 EXIT_USAGE = 2
-PILOT_SECONDS = 5.0  # [s] --plan makes a pilot run that is shorter
+# [s] --plan makes a pilot run that is shorter, also where inlets pour onto bodies
+PILOT_SECONDS, POURING_PILOT_SECONDS = 5.0, 20.0
 EXIT_CODES = """exit codes: 0 done, 1 unexpected error, 2 something in the scene or the flags is
 wrong, 3 the simulation blew up (what was written before is whole), 75 stopped with a checkpoint
 (also by the first Ctrl-C once steps are made), 130 interrupted"""
@@ -56,7 +58,8 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="simulate the scene in coarser cells first (about a tenth of the work), so that the"
         " time estimate of --plan or of a run includes contact and motion; --plan does it by itself"
-        f" where it takes less than {PILOT_SECONDS:g} s",
+        f" where it takes less than {PILOT_SECONDS:g} s, or {POURING_PILOT_SECONDS:g} s where"
+        " inlets pour onto bodies",
     )
     parser.add_argument(  # name of earlier releases
         "--rehearse", dest="pilot", action="store_true", help=argparse.SUPPRESS
@@ -255,10 +258,11 @@ def _command(args: argparse.Namespace, ranks: SerialCommunicator) -> int:
         from vgmpi.solver.estimates.pilot_run import pilot_run, pilot_seconds
 
         pace = calibration.host_throughput(scene.accuracy.precision, remeasure=args.calibrate)
-        is_short = start_time == 0 and pilot_seconds(scene, plan, pace) < PILOT_SECONDS
+        most = POURING_PILOT_SECONDS if pours_onto_bodies(scene, plan) else PILOT_SECONDS
+        is_short = start_time == 0 and pilot_seconds(scene, plan, pace) < most
         is_quick = is_short and is_compiled(plan)
         is_wanted = args.pilot or is_quick
-        limit = math.inf if args.pilot else PILOT_SECONDS  # estimates may be wrong
+        limit = math.inf if args.pilot else most  # estimates may be wrong
         pilot = pilot_run(scene, plan, summary, not args.pilot, limit) if is_wanted else None
         print(format_plan(scene, plan, ranks.size, start_time, pace, pilot, args.verbose))
         if args.engine == "cuda":

@@ -16,7 +16,7 @@ from .feature_costs import step_ns
 from .file_sizes import file_size_line
 from .pilot_result import PilotRun
 from .plan_details import plan_details
-from .run_estimate import step_count, step_seconds, writing_seconds
+from .run_estimate import pours_onto_bodies, step_count, step_seconds, writing_seconds
 from .scene_warnings import note_lines, warning_lines
 from .throughput import ASSUMED_THROUGHPUT, Throughput
 from .timestep_advice import limiting_material_lines, pruning_lines
@@ -66,8 +66,7 @@ def _unknown_contacts(scene: Scene, plan: Plan) -> str:
 
     Without a pilot run their particles have the price of a liquid that touches nothing.
     """
-    is_met = len(plan.phases) > 1 or any(obj.collider or obj.free_body for obj in scene.object)
-    if not plan.sources or not is_met:
+    if not pours_onto_bodies(scene, plan):
         return ""
     names = ", ".join(escape_control_characters(source.name) for source in plan.sources)
     return (

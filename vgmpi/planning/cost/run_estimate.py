@@ -14,7 +14,7 @@ from .throughput import Throughput
 
 # [s] time to write a frame, and a particle in it (a run's `--profile`: write)
 FRAME_SECONDS, SECONDS_PER_WRITTEN_PARTICLE = 0.025, 1e-7
-# [-] overhead of ranks, fitted on two ranks to scenes of `python -m tests.benchmarks predictions`
+# [-] overhead of ranks, fitted on two ranks to scenes of runs/
 HALO_OVERHEAD = 2.0
 
 
@@ -44,6 +44,17 @@ def step_seconds(
     else:
         ns = pilot.work(scene, plan, pace).sum() / pilot.steps
     return 1e-9 * ns / ranks * rank_overhead(plan, ranks) + STEP_SECONDS
+
+
+def pours_onto_bodies(scene: Scene, plan: Plan) -> bool:
+    """Return whether what inlets pour may meet bodies or colliders, so that its price is unknown.
+
+    Args:
+        scene: The scene.
+        plan: Its plan.
+    """
+    is_met = len(plan.phases) > 1 or any(obj.collider or obj.free_body for obj in scene.object)
+    return bool(plan.sources) and is_met
 
 
 def mean_counts(plan: Plan) -> tuple[int, ...]:
