@@ -60,14 +60,14 @@ def pours_onto_bodies(scene: Scene, plan: Plan) -> bool:
 def mean_counts(plan: Plan) -> tuple[int, ...]:
     """Return the mean number of particles of each object and inlet over the run.
 
-    Those of an inlet enter one layer after the other; what leaves through outlets is not known.
+    Those of an inlet enter one after the other; what leaves through outlets is not known.
 
     Args:
         plan: The plan.
     """
     counts, end = list(plan.count), float(plan.times[-1])
     for source in plan.sources:
-        middle = source.start + 0.5 * source.layers * source.period  # [s] of the mean layer
+        middle = 0.5 * (source.mouth_time(0) + source.mouth_time(source.particles - 1))  # [s]
         counts[source.entity] = round(
             counts[source.entity] * min(max(1.0 - middle / end, 0.0), 1.0)
         )
