@@ -1,7 +1,8 @@
 """Video of a run's Gaussians: vgmpi render OUT [render.toml] -o video.mp4
 
 Reads only the files of the run. With mpirun (or srun) the ranks share the frames and rank 0 writes.
-Exit code 2 is for errors that the user can correct, with one line each.
+Exit code 2 is for errors that the user can correct, with one line each; 75 is for SIGTERM, which
+leaves the pictures that are finished.
 """
 
 import argparse
@@ -10,6 +11,7 @@ import contextlib
 import gc
 import logging
 import os
+import signal
 import sys
 import time
 from pathlib import Path
@@ -17,14 +19,11 @@ from typing import Any
 
 from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.rendering import image_io, render_config
-from vgmpi.rendering.frame_renderer import (
-    FrameRenderer,
-    OtherRankError,
-    RenderedView,
-    render_in_processes,
-    render_on_ranks,
-    run_on_all_ranks,
-)
+from vgmpi.rendering.finished_pictures import digest_of, find_finished, read_picture
+from vgmpi.rendering.frame_processes import render_in_processes
+from vgmpi.rendering.frame_progress import FrameProgress
+from vgmpi.rendering.frame_ranks import OtherRankError, render_on_ranks, run_on_all_ranks
+from vgmpi.rendering.frame_renderer import FrameRenderer, RenderedView
 from vgmpi.runtime.compile_notice import announce_compiling
 from vgmpi.runtime.cpu_features import available_cores
 from vgmpi.runtime.exit_handler import exit_code_from_exceptions
@@ -36,7 +35,13 @@ FRAMES_PER_PROCESS = 4  # fewer frames than these do not pay for the start of a 
 # Variables that launchers set for the processes they start; SLURM's is set without srun too.
 LAUNCHER_VARIABLES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS")
 
+STOPPED = 75  # exit code after SIGTERM, as of a run
+
 COMPILING = "compiling the renderer for this processor, once: a minute or two"
+
+
+class StopRequest(KeyboardInterrupt):
+    """SIGTERM was received."""
 
 
 def frame_numbers(run: RunReader, frames: render_config.FrameSettings) -> list[int]:
@@ -79,6 +84,16 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument("--alpha", metavar="DIR", help="write the coverage of each pixel as 16-bit PNG")
     p.add_argument("--depth", metavar="DIR", help="write the depth of each pixel [m] as .npy")
+    p.add_argument(
+        "--resume",
+        action="store_true",
+        help="use the pictures that an interrupted command left in --frames or the folder of -o",
+    )
+    p.add_argument(
+        "--draft",
+        action="store_true",
+        help="a fast look: half of the width and height, coarser grids, one sample per pixel",
+    )
     p.add_argument("--preview", action="store_true", help="draw one small picture, OUT/preview.png")
     p.add_argument("--jobs", type=int, help="processes that share the frames [one per core]")
     p.add_argument("-q", "--quiet", action="store_true", help="warnings and errors only")
@@ -114,10 +129,26 @@ def main(argv: list[str] | None = None) -> int:
     except (render_config.SettingsError, RunError, image_io.VideoError) as error:
         lines = render_config.error_lines(error, args.settings)
         print("\n".join(lines), file=sys.stderr)
-    except KeyboardInterrupt:
-        print("stopped: no video was written", file=sys.stderr)
-        return 130
+    except KeyboardInterrupt as stop:
+        print(_stop_message(args), file=sys.stderr)
+        return STOPPED if isinstance(stop, StopRequest) else 130
     return 2
+
+
+def pictures_folder(args: argparse.Namespace) -> Path | None:
+    """Return the folder that holds each picture as soon as it is drawn, or None."""
+    if args.frames:
+        return Path(args.frames)
+    is_folder = args.output and not Path(args.output).suffix
+    return Path(args.output) if is_folder else None
+
+
+def _stop_message(args: argparse.Namespace) -> str:
+    """Return one line on what is left after an interrupt."""
+    folder = pictures_folder(args)
+    if folder is None:
+        return "stopped: no video was written (--frames DIR keeps the pictures that are drawn)"
+    return f"stopped: the pictures that are drawn are in {folder}; --resume goes on after them"
 
 
 def _prepare(args: argparse.Namespace, local_count: int = 1) -> tuple[FrameRenderer, Path, Path]:
@@ -139,6 +170,7 @@ def _prepare(args: argparse.Namespace, local_count: int = 1) -> tuple[FrameRende
         alpha=args.alpha is not None,
         depth=args.depth is not None,
         longest=PREVIEW_SIZE if args.preview else None,
+        draft=args.draft,
     )
     if output.suffix != ".png":
         painter.afford(max(local_count, min(args.jobs or 1, len(painter.run))))
@@ -198,7 +230,7 @@ def _write_extras(
     name = f"frame_{index:05d}"
     if args.frames:
         folder = view_path(Path(args.frames), painter, number)
-        image_io.write_png(folder / f"{name}.png", view.picture)
+        image_io.write_png(folder / f"{name}.png", view.picture, digest_of(painter))
     if args.alpha:
         assert view.alpha is not None
         image_io.write_png(view_path(Path(args.alpha), painter, number) / f"{name}.png", view.alpha)
@@ -213,14 +245,13 @@ def _video(
     painter: FrameRenderer, output: Path, settings_folder: Path, args: Any, ranks: Any
 ) -> int:
     """Write the video."""
-    from tqdm import tqdm
-
     begin = time.perf_counter()
     frames = frame_numbers(painter.run, painter.chosen.frames)
     numbers = painter.run.available_frames(frames)
+    ready = _finished_frames(painter, numbers, args, ranks) if args.resume else set()
     # the camera path includes missing frames
     parts = {index: k / max(len(frames) - 1, 1) for k, index in enumerate(frames)}
-    tasks = [(index, parts[index]) for index in numbers]
+    tasks = [(index, parts[index]) for index in numbers if index not in ready]
     if ranks is None:
         jobs = process_count(painter, len(tasks)) if args.jobs is None else args.jobs
         rendered = render_in_processes(painter, settings_folder, tasks, jobs)
@@ -233,31 +264,75 @@ def _video(
     paths = [view_path(output, painter, number) for number in range(len(painter.views))]
     with contextlib.ExitStack() as stack:
         stack.enter_context(contextlib.closing(rendered))  # worker processes end with this one
+        in_place = not output.suffix and not args.frames
+        added = [index for index in numbers if not (in_place and index in ready)]
         writers = [
-            stack.enter_context(_open_writer(painter, k, path, numbers))
+            stack.enter_context(_open_writer(painter, k, path, added))
             for k, path in enumerate(paths)
         ]
-        bar = tqdm(rendered, total=len(numbers), unit="frame", disable=True if args.quiet else None)
-        for index, views in zip(numbers, bar):
-            for number, (writer, image) in enumerate(zip(writers, views)):
-                writer.add(image.picture)
-                _write_extras(image, index, number, painter, args)
-    seconds = (time.perf_counter() - begin) / len(numbers)
-    sizes = ", ".join(f"{view.width} x {view.height}" for view in painter.views)
-    log.info("%d frames of %s, %.2f s each", len(numbers), sizes, seconds)
+        progress = stack.enter_context(FrameProgress(len(numbers), args.quiet, len(ready)))
+        for index in added:
+            if index in ready:
+                for number, writer in enumerate(writers):
+                    writer.add(read_picture(_files_of(index, number, painter, args)[0]))
+                continue
+            for number, (writer, view) in enumerate(zip(writers, next(rendered))):
+                writer.add(view.picture)
+                _write_extras(view, index, number, painter, args)
+            progress.add()
+    _report(painter, len(numbers), len(tasks), time.perf_counter() - begin)
     print(*paths, sep="\n")
     return 0
+
+
+def _report(painter: FrameRenderer, count: int, drawn: int, seconds: float) -> None:
+    """Log the number of frames, their size and their time [s]."""
+    sizes = ", ".join(f"{view.width} x {view.height}" for view in painter.views)
+    ready = f", {count - drawn} of them drawn before" if drawn < count else ""
+    pace = f", {seconds / drawn:.2f} s each" if drawn else ""
+    log.info("%d frames of %s%s%s", count, sizes, ready, pace)
+
+
+def _files_of(index: int, number: int, painter: FrameRenderer, args: Any) -> list[Path]:
+    """Return the files of a frame from one camera: its picture, its coverage and its depth."""
+    places = (
+        (pictures_folder(args), ".png"),
+        (args.alpha and Path(args.alpha), ".png"),
+        (args.depth and Path(args.depth), ".npy"),
+    )
+    return [
+        view_path(place, painter, number) / f"frame_{index:05d}{suffix}"
+        for place, suffix in places
+        if place
+    ]
+
+
+def _finished_frames(painter: FrameRenderer, numbers: list[int], args: Any, ranks: Any) -> set[int]:
+    """Return the frames that --resume does not draw again. Collective. Raises VideoError."""
+    if pictures_folder(args) is None:
+        raise image_io.VideoError("--resume: allowed: with --frames DIR, or -o and a folder")
+    finished: set[int] = set()
+    if ranks is None or ranks.rank == 0:
+        views = range(len(painter.views))
+        files = {i: [_files_of(i, number, painter, args) for number in views] for i in numbers}
+        finished = find_finished(painter, numbers, files)
+    return finished if ranks is None else set(ranks.bcast(sorted(finished)))
 
 
 def _open_writer(painter: FrameRenderer, number: int, path: Path, frames: list[int]) -> Any:
     """Return the writer of the images of one camera."""
     view, video_settings = painter.views[number], painter.chosen.video
     if not path.suffix:
-        return image_io.Sequence(path, frames)
+        return image_io.Sequence(path, frames, digest_of(painter))
     size = (view.width, view.height)
     return image_io.Film(
         path, *size, video_settings.fps, video_settings.quality, clear=painter.clear
     )
+
+
+def _request_stop(number: int, frame: object) -> None:
+    """Stop at SIGTERM: what is half written is removed on the way out."""
+    raise StopRequest
 
 
 @exit_code_from_exceptions
@@ -267,6 +342,7 @@ def command(argv: list[str] | None = None) -> int:
     # above all at exit, saves a quarter of a second.
     gc.freeze()
     atexit.register(gc.freeze)
+    signal.signal(signal.SIGTERM, _request_stop)
     return main(argv)
 
 

@@ -44,6 +44,7 @@ OUTSIDE = {  # packages that only some files may use
     # the part of viser's server that opens its port
     "websockets": ("vgmpi/rendering/live/guarded_server.py",),
     "tqdm": (
+        "vgmpi/rendering/frame_progress.py",
         "vgmpi/solver/diagnostics/progress.py",
         "vgmpi/solver/compile_kernels.py",
         "vgmpi/apps/tradeoff/study_runs.py",

@@ -22,6 +22,7 @@ class CameraPath:
         box: Callable[[], tuple[np.ndarray, np.ndarray]],
         folder: Path,
         longest: int | None = None,
+        share: float = 1.0,
     ):
         """Read the cameras of files and determine the image size.
 
@@ -32,6 +33,7 @@ class CameraPath:
                 called only by cameras that need it.
             folder: Folder of render.toml.
             longest: If given, upper bound of the longer side of the image [pixels].
+            share: Factor on the size of the image.
 
         Raises:
             SettingsError: If a camera file is wrong.
@@ -43,7 +45,7 @@ class CameraPath:
         if settings.kind in ("transforms", "colmap"):
             self.cameras = _cameras_of_file(settings, folder)
             self.width, self.height = self.cameras[0].width, self.cameras[0].height
-        scale = settings.scale
+        scale = share * settings.scale
         if longest is not None:
             scale = min(scale, longest / max(self.width, self.height))
         self.width, self.height = (max(round(v * scale), 1) for v in (self.width, self.height))

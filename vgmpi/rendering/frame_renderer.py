@@ -3,9 +3,7 @@
 import contextlib
 import functools
 import logging
-import multiprocessing
-import pickle
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -27,6 +25,7 @@ log = logging.getLogger("vgmpi")
 
 Pixels = tuple[np.ndarray, ...]  # image, transmittance, and depth if requested
 STUDIO_BYTES = 400  # [bytes] least memory per pixel of the studio
+DRAFT_SCALE = 0.5  # [-] width and height of a draft, relative to those of the settings
 EXTENT_SAMPLES = 9  # frames from which the visible extent is determined
 
 
@@ -48,24 +47,29 @@ class FrameRenderer:
     """Renderer of the frames of one run with one set of settings.
 
     chosen: contents of render.toml. folder: its folder, for the files it names. alpha, depth:
-    whether to compute these too. longest: longer side of a preview [pixels]. box: function that
+    whether to compute these too. longest: longer side of a preview [pixels]. draft: whether to draw
+    at half of the size, with the coarser grids and single samples of a preview. box: function that
     returns the lower and upper corner of the visible extent [m]; default: the extent of the run's
     Gaussians.
     """
 
     def __init__(
         self, run: RunReader, chosen: render_config.Settings, folder: Path, *, alpha: bool = False,
-        depth: bool = False, longest: int | None = None,
+        depth: bool = False, longest: int | None = None, draft: bool = False,
         box: Callable[[], tuple[np.ndarray, np.ndarray]] | None = None,
     ):  # fmt: skip
         self.run, self.chosen = run, chosen
-        self.alpha, self.depth = alpha, depth
+        self.alpha, self.depth, self.draft = alpha, depth, draft
+        quick = draft or longest is not None
         size = chosen.picture
         # some cameras do not need it, and it reads files
         box = box or functools.cache(lambda: visible_extent(run))
         # errors in files show before long work begins
-        self.views = [CameraPath(entry, size, box, folder, longest) for entry in chosen.views()]
-        self.supersample = 1 if longest else size.supersample
+        share = DRAFT_SCALE if draft else 1.0
+        self.views = [
+            CameraPath(entry, size, box, folder, longest, share) for entry in chosen.views()
+        ]
+        self.supersample = 1 if quick else size.supersample
         self.surface = chosen.look.liquid == "surface" and not chosen.studio
         self.afford()
         self.grounds = [
@@ -82,7 +86,7 @@ class FrameRenderer:
         has_blur = chosen.video.shutter > 0
         if not chosen.studio:  # the studio blurs by depth
             has_blur = has_blur or any(entry.aperture > 0 for entry in chosen.views())
-        self.samples = size.blur_samples if has_blur and not longest else 1
+        self.samples = size.blur_samples if has_blur and not quick else 1
         self.look = Appearance(run, chosen.look)
         self.liquids = None
         if self.surface:
@@ -96,7 +100,7 @@ class FrameRenderer:
             # it compiles much, and preset "paper" does without
             from .studio_renderer import Studio
 
-            self.studio = Studio(self.look, chosen, box, folder, quick=longest is not None)
+            self.studio = Studio(self.look, chosen, box, folder, quick)
 
     def afford(self, at_once: int = 1) -> None:
         """Raise SettingsError if `at_once` pictures exceed the memory of the machine."""
@@ -288,111 +292,3 @@ def visible_extent(run: RunReader) -> tuple[np.ndarray, np.ndarray]:
     low = np.max([np.min([x.min(axis=0) for x in positions], axis=0), lower], axis=0)
     high = np.min([np.max([x.max(axis=0) for x in positions], axis=0), upper], axis=0)
     return low, np.maximum(low, high)
-
-
-Task = tuple[int, float]  # a frame's number and its part of the video
-_painter: FrameRenderer | None = None  # renderer of a worker process
-
-
-def _start_worker(
-    folder: str, chosen: render_config.Settings, settings_folder: Path, options: dict
-) -> None:
-    """Create the renderer of a worker process."""
-    global _painter
-    logging.disable(logging.WARNING)  # the first process has logged it already
-    _painter = FrameRenderer(RunReader(folder), chosen, settings_folder, **options)
-
-
-def _work(task: Task) -> list[RenderedView]:
-    """Render a frame in a worker process."""
-    assert _painter is not None  # _start_worker was here
-    return _painter.views_of(*task)
-
-
-def render_in_processes(
-    painter: FrameRenderer, settings_folder: Path, tasks: list[Task], jobs: int
-) -> Generator:
-    """Yield the views of the frames in order, rendered by several processes.
-
-    Args:
-        painter: Renderer of this process.
-        settings_folder: Folder of render.toml.
-        tasks: Frames.
-        jobs: Number of processes.
-    """
-    jobs = min(jobs, len(tasks))
-    if jobs <= 1:
-        yield from (painter.views_of(*task) for task in tasks)
-        return
-    painter.look.colors.prepare(tasks[-1][0])
-    context = multiprocessing.get_context("spawn")  # forked processes would share open files
-    options = {"alpha": painter.alpha, "depth": painter.depth}
-    start = (str(painter.run.folder), painter.chosen, settings_folder, options)
-    with context.Pool(jobs, _start_worker, start) as pool:
-        yield from pool.imap(_work, tasks)
-
-
-class OtherRankError(RunError):
-    """Error on ranks other than 0 if any rank has failed; rank 0 reports it."""
-
-
-def run_on_all_ranks(ranks: Any, make) -> Any:
-    """Return make() of this rank; if it fails on any rank, fail on all of them.
-
-    Rank 0 raises the error of the lowest rank, the others OtherRankError. Collective.
-    """
-    result, error = None, None
-    try:
-        result = make()
-    except (RunError, render_config.SettingsError, image_io.VideoError) as caught:
-        error = caught
-    failed = ranks.max(np.array([error is not None], dtype=np.int64))
-    if failed[0]:
-        errors = _at_root(ranks, error)
-        raise OtherRankError() if errors is None else next(e for e in errors if e is not None)
-    return result
-
-
-def render_on_ranks(painter: FrameRenderer, ranks: Any, tasks: list[Task]) -> Generator:
-    """Yield the views of the frames in order on rank 0, and as many Nones on the others.
-
-    In each round every rank renders one frame and rank 0 gathers them: adjacent frames take nearly
-    the same time. ranks: vgmpi.parallel.communicator. Collective.
-    """
-    if ranks.rank == 0:
-        painter.look.colors.prepare(tasks[-1][0])
-    ranks.barrier()
-    for first in range(0, len(tasks), ranks.size):
-        own_tasks = tasks[first + ranks.rank : first + ranks.rank + 1]
-        views = run_on_all_ranks(
-            ranks, lambda own_tasks=own_tasks: [painter.views_of(*task) for task in own_tasks]
-        )
-        gathered = _at_root(ranks, views)
-        count = min(ranks.size, len(tasks) - first)
-        try:
-            yield from (
-                [None] * count
-                if gathered is None
-                else (rank_views[0] for rank_views in gathered[:count])
-            )
-        except GeneratorExit:  # rank 0 cannot write, and the others wait in the next round
-            if first + ranks.size < len(tasks):
-                with contextlib.suppress(RunError):
-                    run_on_all_ranks(ranks, _abort)
-            raise
-
-
-def _abort() -> None:
-    """Raise the error of a failed write."""
-    raise RunError("rank 0 cannot write")
-
-
-def _at_root(ranks: Any, item: Any) -> list | None:
-    """Gather the items of all ranks in rank order on rank 0. Collective."""
-    data = np.frombuffer(pickle.dumps(item, protocol=5), dtype=np.uint8)
-    sizes = ranks.all_rows(np.array([len(data)], dtype=np.int64))
-    rows = ranks.gather_rows(data)
-    if rows is None:
-        return None
-    ends = np.cumsum(sizes)
-    return [pickle.loads(rows[end - size : end].tobytes()) for size, end in zip(sizes, ends)]

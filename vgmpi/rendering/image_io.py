@@ -37,6 +37,7 @@ FORMATS = {  # ffmpeg options of each file format
         "[0:v]split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1",
     ],
 }
+PNG_KEY = "vgmpi"  # keyword of the text in a picture
 TRANSPARENT = (".webm",)  # formats with an alpha channel
 
 
@@ -135,7 +136,8 @@ class Film:
             except OSError as error:
                 raise VideoError(f"{self.path}: {error.strerror or error}") from None
         finally:
-            self.part.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):  # a file system may be read-only
+                self.part.unlink(missing_ok=True)
             self.log.close()
 
     def _fail(self) -> None:
@@ -148,10 +150,14 @@ class Film:
 
 
 class Sequence:
-    """Writer of pictures as PNG files in a folder, named by frame numbers."""
+    """Writer of pictures as PNG files in a folder, named by frame numbers.
 
-    def __init__(self, folder: Path, numbers: list[int]):
+    text: text in each file, see `write_png`.
+    """
+
+    def __init__(self, folder: Path, numbers: list[int], text: str = ""):
         self.paths = iter([folder / f"frame_{index:05d}.png" for index in numbers])
+        self.text = text
 
     def __enter__(self) -> "Sequence":
         return self
@@ -161,7 +167,7 @@ class Sequence:
 
     def add(self, picture: np.ndarray) -> None:
         """Write the next picture."""
-        write_png(next(self.paths), picture)
+        write_png(next(self.paths), picture, self.text)
 
 
 def to_bytes(image: np.ndarray) -> np.ndarray:
@@ -176,13 +182,32 @@ def with_transparency(image: np.ndarray, alpha: np.ndarray) -> np.ndarray:
     return to_bytes(np.concatenate([color, alpha[..., None]], axis=2))
 
 
-def write_png(path: str | Path, picture: np.ndarray) -> None:
-    """Write a picture: uint8 (height, width, 3 or 4) or uint16 (height, width)."""
-    from PIL import Image  # imageio takes a third of a second to load
+def write_png(path: str | Path, picture: np.ndarray, text: str = "") -> None:
+    """Write a picture: uint8 (height, width, 3 or 4) or uint16 (height, width).
 
-    data = io.BytesIO()
-    Image.fromarray(picture).save(data, "png", compress_level=4)
+    Args:
+        path: The file.
+        picture: The picture.
+        text: Text that the file holds besides, for `png_text`.
+    """
+    from PIL import Image, PngImagePlugin  # imageio takes a third of a second to load
+
+    data, about = io.BytesIO(), PngImagePlugin.PngInfo()
+    if text:
+        about.add_text(PNG_KEY, text)
+    Image.fromarray(picture).save(data, "png", compress_level=4, pnginfo=about)
     write(path, data.getvalue())
+
+
+def png_text(path: Path) -> str:
+    """Return the text in a file of `write_png`; empty if there is none, or no such file."""
+    from PIL import Image
+
+    try:
+        with Image.open(path) as picture:
+            return str(picture.info.get(PNG_KEY, ""))
+    except (OSError, ValueError, SyntaxError):
+        return ""
 
 
 def write_array(path: str | Path, array: np.ndarray) -> None:
