@@ -24,9 +24,10 @@ from vgmpi.rendering.frame_processes import render_in_processes
 from vgmpi.rendering.frame_progress import FrameProgress
 from vgmpi.rendering.frame_ranks import OtherRankError, render_on_ranks, run_on_all_ranks
 from vgmpi.rendering.frame_renderer import FrameRenderer, RenderedView
+from vgmpi.rendering.prepared_run import PreparedRun, open_run
 from vgmpi.runtime.compile_notice import announce_compiling
 from vgmpi.runtime.cpu_features import available_cores
-from vgmpi.runtime.exit_handler import exit_code_from_exceptions
+from vgmpi.runtime.exit_handler import exit_code_from_exceptions, usage_error_code
 
 log = logging.getLogger("vgmpi")
 
@@ -92,10 +93,11 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--draft",
         action="store_true",
-        help="a fast look: half of the width and height, coarser grids, one sample per pixel",
+        help="a fast look: 0.4 of the width and height, coarser grids, one sample per pixel",
     )
     p.add_argument("--preview", action="store_true", help="draw one small picture, OUT/preview.png")
     p.add_argument("--jobs", type=int, help="processes that share the frames [one per core]")
+    p.add_argument("-v", "--verbose", action="store_true", help="also say what was chosen and why")
     p.add_argument("-q", "--quiet", action="store_true", help="warnings and errors only")
     return p
 
@@ -115,7 +117,8 @@ def main(argv: list[str] | None = None) -> int:
     args = parser().parse_args(argv)
     ranks = ranks_of_launcher()
     is_first = ranks is None or ranks.rank == 0
-    level = logging.ERROR if not is_first else logging.WARNING if args.quiet else logging.INFO
+    level = logging.WARNING if args.quiet else logging.DEBUG if args.verbose else logging.INFO
+    level = level if is_first else logging.ERROR
     logging.basicConfig(level=level, format="%(message)s", stream=sys.stderr)
     logging.getLogger("vgmpi").setLevel(level)
     announce_compiling(logging.getLogger("vgmpi"), COMPILING)
@@ -129,10 +132,10 @@ def main(argv: list[str] | None = None) -> int:
     except (render_config.SettingsError, RunError, image_io.VideoError) as error:
         lines = render_config.error_lines(error, args.settings)
         print("\n".join(lines), file=sys.stderr)
+        return usage_error_code(error)
     except KeyboardInterrupt as stop:
         print(_stop_message(args), file=sys.stderr)
         return STOPPED if isinstance(stop, StopRequest) else 130
-    return 2
 
 
 def pictures_folder(args: argparse.Namespace) -> Path | None:
@@ -156,6 +159,7 @@ def _prepare(args: argparse.Namespace, local_count: int = 1) -> tuple[FrameRende
 
     local_count: number of processes on this machine. Raises errors of one line.
     """
+    _check_arguments(args)
     output = output_path(args)
     chosen = render_config.load(args.settings)
     if chosen.background == "none" and output.suffix in image_io.FORMATS:
@@ -163,8 +167,11 @@ def _prepare(args: argparse.Namespace, local_count: int = 1) -> tuple[FrameRende
             message = f"{output.suffix} has no transparency: allowed: .webm, .png, a folder"
             raise render_config.SettingsError([f"picture.background: 'none': {message}"])
     settings_folder = Path(args.settings).parent if args.settings else Path(".")
+    run = open_run(args.out, prepared=args.preview)
+    if isinstance(run, PreparedRun):
+        log.info("%s: no frames yet: the prepared particles are drawn", args.out)
     painter = FrameRenderer(
-        RunReader(args.out),
+        run,
         chosen,
         settings_folder,
         alpha=args.alpha is not None,
@@ -175,6 +182,22 @@ def _prepare(args: argparse.Namespace, local_count: int = 1) -> tuple[FrameRende
     if output.suffix != ".png":
         painter.afford(max(local_count, min(args.jobs or 1, len(painter.run))))
     return painter, output, settings_folder
+
+
+def _check_arguments(args: argparse.Namespace) -> None:
+    """Raise VideoError if the run and its render.toml are swapped, or if the latter is missing."""
+    if args.settings is None:
+        if Path(args.out).is_file():
+            message = f"{args.out}: is a file; give the folder of a run first"
+            raise image_io.VideoError(f"{message}: vgmpi render OUT {args.out}")
+        return
+    if Path(args.settings).is_dir():
+        message = f"{args.settings}: is a folder; the folder of the run comes first"
+        raise image_io.VideoError(f"{message}: vgmpi render {args.settings} {args.out}")
+    if not Path(args.settings).exists():
+        found = render_config.find_settings(Path(args.out))
+        hint = f"; there is {found}" if found else "; without it, the defaults are used"
+        raise image_io.VideoError(f"{args.settings}: no such file{hint}")
 
 
 def process_count(painter: FrameRenderer, frame_count: int) -> int:

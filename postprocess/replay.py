@@ -22,7 +22,7 @@ from vgmpi.rendering.frame_renderer import domain_box, visible_extent
 from vgmpi.rendering.gaussian_selection import GaussianSelection
 from vgmpi.rendering.render_config import CameraSettings, PictureSettings, SettingsError
 from vgmpi.rendering.viewer_scene import show_domain, viewer_camera
-from vgmpi.runtime.exit_handler import exit_code_from_exceptions
+from vgmpi.runtime.exit_handler import exit_code_from_exceptions, usage_error_code
 
 log = logging.getLogger("vgmpi")
 
@@ -120,7 +120,7 @@ def main(argv: list[str] | None = None) -> int:
         return 2
     except (RunError, image_io.VideoError) as error:
         print(error, file=sys.stderr)
-        return 2
+        return usage_error_code(error)
     size = output.stat().st_size / 1e6
     summary = f"{chosen.count} of {chosen.all} Gaussians"
     log.info("%s, %d frames, %.1f MB", summary, len(numbers), size)

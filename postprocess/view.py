@@ -13,8 +13,9 @@ import numpy as np
 
 from vgmpi.gaussians.camera import fit_orbit_to_box, orbit_eye
 from vgmpi.io.run_reader import RunError, RunReader
+from vgmpi.rendering import image_io
 from vgmpi.rendering.field_values import scalars, title
-from vgmpi.runtime.exit_handler import exit_code_from_exceptions
+from vgmpi.runtime.exit_handler import exit_code_from_exceptions, usage_error_code
 
 FOV = 30.0  # [degrees] vertical field of view
 ANGLE = 25.0  # [degrees] around z, equal to that of the renderer
@@ -72,12 +73,10 @@ def picture(run: RunReader, index: int, color: str, path: Path, args: argparse.N
     plotter.camera_position = [tuple(eye), tuple(target), (0.0, 0.0, 1.0)]
     plotter.reset_camera_clipping_range()
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        plotter.screenshot(path)
-    except OSError as error:
-        raise RunError(f"{path}: {error.strerror or error}") from None
+        pixels = plotter.screenshot(return_img=True)
     finally:
         plotter.close()
+    image_io.write_png(path, np.asarray(pixels))
 
 
 def parser() -> argparse.ArgumentParser:
@@ -121,9 +120,9 @@ def main(argv: list[str] | None = None) -> int:
         if not 0 <= index < len(run):
             raise RunError(f"--frame: {args.frame}: the run has the frames 0..{len(run) - 1}")
         picture(run, index, args.color, path, args)
-    except RunError as error:
+    except (RunError, image_io.VideoError) as error:
         print(error, file=sys.stderr)
-        return 2
+        return usage_error_code(error)
     print(path)
     return 0
 

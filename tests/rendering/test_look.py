@@ -139,16 +139,16 @@ def test_a_fluid_without_J_has_its_rest_volume():
 
 
 def test_alpha_min_follows_the_fluid_and_says_so(caplog):
-    caplog.set_level(logging.INFO, "vgmpi")
+    caplog.set_level(logging.DEBUG, "vgmpi")
     assert Appearance(fake(0.5)[0]).alpha_min(None) == ALPHA_MIN
     assert not caplog.records
     assert Appearance(fake(0.02)[0]).alpha_min(None) == ALPHA_MIN_FAINT
-    assert [r.levelname for r in caplog.records] == ["INFO"]
+    assert [r.levelname for r in caplog.records] == ["DEBUG"]
     assert "faint" in caplog.text
 
 
 def test_alpha_min_of_an_object_or_of_the_settings_comes_first(caplog):
-    caplog.set_level(logging.INFO, "vgmpi")
+    caplog.set_level(logging.DEBUG, "vgmpi")
     run, _ = fake(0.01)
     run.objects[0]["alpha_min"] = 5e-4
     run.objects[1]["alpha_min"] = 1 / 255  # what scenes give to objects that say nothing

@@ -178,7 +178,7 @@ class Appearance:
                 opacities = "an object's alpha_min, or its opacity_scale below 0.1"
                 reason = "the fluid is faint" if faint else opacities
                 message = "faint Gaussians are drawn too, down to alpha_min = %g (usual: 1/255): %s"
-                log.info(message, alpha_min, reason)
+                log.debug(message, alpha_min, reason)
         # others carry mass only
         is_drawn = np.asarray(self.run.gaussians.opacity) > 0
         for number, entry in enumerate(self.objects):

@@ -25,7 +25,7 @@ log = logging.getLogger("vgmpi")
 
 Pixels = tuple[np.ndarray, ...]  # image, transmittance, and depth if requested
 STUDIO_BYTES = 400  # [bytes] least memory per pixel of the studio
-DRAFT_SCALE = 0.5  # [-] width and height of a draft, relative to those of the settings
+DRAFT_SCALE = 0.4  # [-] width and height of a draft, relative to those of the settings
 EXTENT_SAMPLES = 9  # frames from which the visible extent is determined
 
 
@@ -48,7 +48,7 @@ class FrameRenderer:
 
     chosen: contents of render.toml. folder: its folder, for the files it names. alpha, depth:
     whether to compute these too. longest: longer side of a preview [pixels]. draft: whether to draw
-    at half of the size, with the coarser grids and single samples of a preview. box: function that
+    a smaller image with the coarser grids and single samples of a preview. box: function that
     returns the lower and upper corner of the visible extent [m]; default: the extent of the run's
     Gaussians.
     """

@@ -1,6 +1,7 @@
 """Exit codes of a command for everything that nobody foresaw."""
 
 import contextlib
+import errno
 import functools
 import io
 import os
@@ -51,6 +52,16 @@ def exit_code_from_exceptions(main: Callable[..., int]) -> Callable[..., int]:
             return 1
 
     return command
+
+
+def usage_error_code(error: Exception) -> int:
+    """Return the exit code for an error that is printed in one line.
+
+    It is 2, for what the user can correct, but 1 for a disk that is full while files are written,
+    as in a run. Programs such as ffmpeg tell it by the text of the system only.
+    """
+    full = [os.strerror(number) for number in (errno.ENOSPC, errno.EDQUOT)]
+    return 1 if any(text in str(error) for text in full) else 2
 
 
 def _stdout_is_full() -> bool:

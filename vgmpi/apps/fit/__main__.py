@@ -17,7 +17,7 @@ from vgmpi.io.run_reader import RunError
 from vgmpi.rendering.image_io import VideoError
 from vgmpi.runtime.atomic_write import replace_file
 from vgmpi.runtime.config.schema import TomlError
-from vgmpi.runtime.exit_handler import exit_code_from_exceptions
+from vgmpi.runtime.exit_handler import exit_code_from_exceptions, usage_error_code
 from vgmpi.scene.loader import load
 
 from . import comparison_video, fit_report
@@ -84,6 +84,9 @@ def main(argv: list[str] | None = None) -> int:
     except (StudyError, RunError, VideoError) as error:
         print(f"vgmpi: {error}", file=sys.stderr)
         return 1
+    except OSError as error:
+        print(f"{error.filename or args.output}: {error.strerror or error}", file=sys.stderr)
+        return usage_error_code(error)
     return 0
 
 
