@@ -9,7 +9,7 @@ import pytest
 from postprocess import render
 from tests.support import drawn_runs
 from vgmpi.io.run_reader import RunReader
-from vgmpi.rendering import render_config
+from vgmpi.rendering import render_config, studio_renderer
 from vgmpi.rendering.frame_renderer import FrameRenderer
 
 PICTURE = "[picture]\nwidth = 200\nheight = 150\nsupersample = 2\n[video]\nshutter = 0.5\n"
@@ -59,3 +59,15 @@ def test_processes_draw_a_draft_too(out, tmp_path):
     for k in range(3):
         one, two = (iio.imread(tmp_path / f"p{n}" / f"frame_0000{k}.png") for n in (1, 2))
         assert one.shape == (60, 80, 3) and (one == two).all()
+
+
+@pytest.mark.parametrize("jobs, count", [(1, 1), (2, 0)])
+def test_normals_at_rest_are_computed_by_processes_that_draw(
+    out, tmp_path, monkeypatch, jobs, count
+):
+    calls, whole = [], studio_renderer.Bodies
+    monkeypatch.setattr(studio_renderer, "Bodies", lambda look: calls.append(1) or whole(look))
+    (tmp_path / "render.toml").write_text("[picture]\nwidth = 48\nheight = 40\n")
+    words = [out, tmp_path / "render.toml", "-q", "-o", tmp_path / "p", "--jobs", jobs]
+    assert render.main([str(word) for word in words]) == 0
+    assert len(calls) == count and len(list((tmp_path / "p").iterdir())) == 3

@@ -5,6 +5,7 @@ liquids, the occlusion pyramid and the light on the ground. For each camera, opa
 (albedo, normal, kind, depth) and lit, and rays are traced through the liquid.
 """
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -91,14 +92,22 @@ class Studio:
     ):
         self.look, self.chosen, self.box = look, chosen, box
         self.domain = domain_of(look.run, chosen.liquid.clip_at_walls)
-        self.bodies = Bodies(look)
         self.quick, self.edges = quick, 1 if quick else chosen.picture.edge_samples
         self.times = EDGE_OVERSAMPLING if self.edges > 1 else 1
         self.tone = int(chosen.toned)
         self.rig = rig_of(chosen, folder)
-        self.torn, self.links = tearing(look, chosen.look.tear)
         self.foam_sources: dict[int, tuple[np.ndarray, np.ndarray]] = {}  # foam sources by frame
         self.first: studio_ground.Ground | None = None  # ground at the first frame
+
+    @functools.cached_property
+    def bodies(self) -> Bodies:
+        """Materials and rest normals of the bodies, computed by processes that draw."""
+        return Bodies(self.look)
+
+    @functools.cached_property
+    def tears(self) -> tuple[np.ndarray, lattice_deformation.Links]:
+        """Tearing distances (n,) [m] and rest neighbors of fluids, sand and snow."""
+        return tearing(self.look, self.chosen.look.tear)
 
     # ---- a frame ---------------------------------------------------------------------------
 
@@ -135,11 +144,11 @@ class Studio:
 
     def _stretches(self, x, ids, rows, limits) -> np.ndarray:
         """Return stretches (n, 6) of the lattice around the particles `rows` of a frame."""
-        row_of = np.full(len(self.torn), -1, np.int64)
+        torn, links = self.tears
+        row_of = np.full(len(torn), -1, np.int64)
         row_of[ids[rows]] = np.arange(len(rows))
         return lattice_deformation.stretches(
-            x[rows], ids[rows].astype(np.int64), row_of, self.links, self.bodies.spacing,
-            self.torn, *limits,
+            x[rows], ids[rows].astype(np.int64), row_of, links, self.bodies.spacing, torn, *limits,
         )  # fmt: skip
 
     def _grain(self, x, ids, rows, part) -> tuple:

@@ -17,7 +17,7 @@ import numpy as np
 
 from vgmpi.runtime.compile_cache import njit_cached
 
-from .compile_options import RAY
+from .compile_options import LEAF, RAY
 
 LEVELS = 5  # [-] levels of the pyramid
 EXTINCTION = 2.2  # [1/cone width] extinction of filled space
@@ -183,7 +183,7 @@ def _leaps(level: np.ndarray) -> np.ndarray:
     return distance_transform_cdt(~is_opaque, metric="chessboard").astype(np.int16)
 
 
-@njit_cached(**RAY)
+@njit_cached(**LEAF)
 def level_value(pyramid, q, x, y, z):
     """Return the density of level q at a point, 0 outside.
 
@@ -213,7 +213,7 @@ def level_value(pyramid, q, x, y, z):
     return v0 + a * (v1 - v0)
 
 
-@njit_cached(**RAY)
+@njit_cached(**LEAF)
 def clip(low, high, p0, p1, p2, d0, d1, d2):
     """Return the distances at which a ray enters and leaves a box.
 
@@ -270,7 +270,7 @@ def cone(pyramid, p0, p1, p2, d0, d1, d2, tangent, start, extinction):
     return transmittance
 
 
-@njit_cached(**RAY)
+@njit_cached(**LEAF)
 def _between_levels(pyramid, q, f, x, y, z):
     """Return the density at a point [m], between levels q and q + 1."""
     s = level_value(pyramid, q, x, y, z)
@@ -315,7 +315,7 @@ def wide_cone(pyramid, p0, p1, p2, d0, d1, d2, tangent, start):
     return transmittance
 
 
-@njit_cached(**RAY)
+@njit_cached(**LEAF)
 def leap(pyramid, x, y, z):
     """Return a lower bound of the distance to opaque space [m], 0 where it is close.
 

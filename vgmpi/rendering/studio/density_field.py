@@ -18,7 +18,7 @@ import numpy as np
 
 from vgmpi.runtime.compile_cache import njit_cached
 
-from .compile_options import RAY
+from .compile_options import LEAF
 from .lattice_deformation import jacobi
 from .sparse_blocks import (
     BLOCK,
@@ -283,7 +283,7 @@ def _bricks(index: np.ndarray, values: np.ndarray) -> np.ndarray:
     return out
 
 
-@njit_cached(**RAY)
+@njit_cached(**LEAF)
 def density(field, x, y, z):
     """Return rho at grid coordinates, 0 outside of the grid.
 

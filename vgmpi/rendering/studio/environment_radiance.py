@@ -4,7 +4,7 @@ import numpy as np
 
 from vgmpi.runtime.compile_cache import njit_cached
 
-from .compile_options import RAY
+from .compile_options import LEAF, RAY
 from .cone_occlusion import SOLID, TINT, level_value
 from .light_rig import mirrored_sky
 from .studio_ground import NONE, SHADOW, backdrop, ground_color
@@ -59,7 +59,7 @@ def _blend(light, depth, u, v, surface_depth, thickness, out):
             out[m] /= total
 
 
-@njit_cached(**RAY)
+@njit_cached(**LEAF)
 def opaque_at(stage, x, y, z, thickness, pixel, out):
     """Return whether a point lies inside of an opaque surface, and write its light to out.
 

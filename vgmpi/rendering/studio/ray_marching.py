@@ -9,7 +9,7 @@ import numpy as np
 
 from vgmpi.runtime.compile_cache import njit_cached
 
-from .compile_options import RAY
+from .compile_options import LEAF, RAY
 from .cone_occlusion import clip, leap
 from .density_field import density
 from .environment_radiance import opaque_at
@@ -37,7 +37,7 @@ def in_box(box, x, y, z):
     )
 
 
-@njit_cached(**RAY)
+@njit_cached(**LEAF)
 def brick_leap(field, u, v, w, d0, d1, d2, inside):
     """Return a distance along which a ray surely stays outside, or inside, of the liquid.
 
@@ -72,7 +72,7 @@ def brick_leap(field, u, v, w, d0, d1, d2, inside):
     return max(best, 0.0)
 
 
-@njit_cached(**RAY)
+@njit_cached(**LEAF)
 def rho_at(field, x, y, z):
     """Return the density at a point, 0 outside of the walls.
 
@@ -128,7 +128,7 @@ def surface_normal(field, p, width, n):
             n[m] *= size
 
 
-@njit_cached(**RAY)
+@njit_cached(**LEAF)
 def absorb(medium, p, d, begin, end, share, scatters, depth, values):
     """Add the optical depth of a part of a ray to depth (3,).
 
@@ -144,14 +144,15 @@ def absorb(medium, p, d, begin, end, share, scatters, depth, values):
             depth[m] += path_length * (medium.mean[m] + scatters * medium.mean[7])
         return
     tint, middle = medium.tint, 0.5 * (begin + end)
-    trilinear_values(
-        tint.values,
-        (p[0] + middle * d[0] - tint.lower[0]) / tint.cell,
-        (p[1] + middle * d[1] - tint.lower[1]) / tint.cell,
-        (p[2] + middle * d[2] - tint.lower[2]) / tint.cell,
-        8,
-        values,
-    )
+    x = (p[0] + middle * d[0] - tint.lower[0]) / tint.cell
+    y = (p[1] + middle * d[1] - tint.lower[1]) / tint.cell
+    z = (p[2] + middle * d[2] - tint.lower[2]) / tint.cell
+    if scatters == 0.0:  # the other channels are not needed
+        trilinear_values(tint.values, x, y, z, 3, values)
+        for m in range(3):
+            depth[m] += path_length * values[m]
+        return
+    trilinear_values(tint.values, x, y, z, 8, values)
     for m in range(3):
         depth[m] += path_length * (values[m] + scatters * values[7])
 
@@ -252,7 +253,7 @@ def _liquid_crossing(field, p, d, a, b, inside):
     )  # fmt: skip
 
 
-@njit_cached(**RAY)
+@njit_cached(**LEAF)
 def _test_opaque(stage, p, d, t, clear, step, pixel, out):
     """Test for an opaque surface at the distance t [m].
 
@@ -271,7 +272,7 @@ def _test_opaque(stage, p, d, t, clear, step, pixel, out):
     return False, t, t, t + max(step, 0.5 * pyramid.cell)
 
 
-@njit_cached(**RAY)
+@njit_cached(**LEAF)
 def _test_surface(medium, p, d, t, bracket, inside, step):
     """Test for the liquid's surface at the distance t [m].
 

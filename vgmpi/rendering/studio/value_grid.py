@@ -6,7 +6,7 @@ import numpy as np
 
 from vgmpi.runtime.compile_cache import njit_cached
 
-from .compile_options import RAY
+from .compile_options import LEAF, RAY
 
 MAX_NODES = 6e7  # [nodes] of a grid, above which its cells become coarser
 KERNEL = 315 / (64 * np.pi)  # [-] factor that normalizes (1 - q^2)^3 of radius 1
@@ -63,7 +63,7 @@ def trilinear(v, x, y, z):
     return v0 + a * (v1 - v0)
 
 
-@njit_cached(**RAY)
+@njit_cached(**LEAF)
 def trilinear_values(v, x, y, z, count, out):
     """Write the first values of a grid of channels at grid coordinates clamped to it.
 
