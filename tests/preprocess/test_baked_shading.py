@@ -7,12 +7,12 @@ import pytest
 from tests.preprocess.test_prune import duck_obj
 from tests.preprocess.test_scene_builder import CUBE, rows
 from tests.support.small_scenes import ROOM, scene
+from vgmpi.gaussians.baked_shading import MIN_SHADE, apply_baked_shading
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.spherical_harmonics import dc_from_rgb, rgb_from_dc
 from vgmpi.io import file_layout, initial_state
 from vgmpi.io.run_reader import RunError, inspect, particle_set_id, read_gaussians
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.preprocess.baked_shading import MIN_SHADE, apply_baked_shading
 from vgmpi.preprocess.sampling import interior_fill
 from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.solver.initial_particles import prepare, write_initial_particles

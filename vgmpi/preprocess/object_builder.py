@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from vgmpi.gaussians.baked_shading import apply_baked_shading
 from vgmpi.gaussians.capture_notes import log_capture_notes
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import registry
@@ -32,7 +33,6 @@ from vgmpi.scene.objects import Object
 from vgmpi.scene.scene import Scene
 
 from . import memory_estimate, shape_sdf
-from .baked_shading import apply_baked_shading
 from .built_object import BuiltObject, isotropic_gaussians
 from .collider_sdf import ShapeCollider, VoxelCollider
 from .crop import crop

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vgmpi.gaussians.baked_shading import facing_of_shade
+
 from .appearance import Appearance
 from .export_model import is_capture
 from .frame_gaussians import GaussianBatch
@@ -12,6 +14,7 @@ from .studio import body_normals, lattice_deformation
 GRANULAR = ("sand", "snow")
 TEAR_LIMITS = 4.0, 6.5  # [spacings] lattice links of a liquid tear between these lengths
 SIDES = ("west", "south", "bottom", "east", "north", "top")
+OPAQUE_LAYER = 2.0  # [cells] thickness of a surface without filling that lets no light through
 SCENERY_SPACING = 1.6  # [standard deviations] assumed spacing of Gaussians of scenery
 
 
@@ -124,24 +127,41 @@ class Bodies:
         requested = look.opacity_scales
         self.opaqueness = np.where(np.isfinite(requested), requested, factor)[object_ids]
         self.spacing = np.cbrt(look.vol0)
+        self.painted = _baked_shading(look.run)
         x0 = np.asarray(gaussians.x0, dtype=np.float64)
         self.normal = np.zeros_like(x0)
         for k in range(len(objects)):
             members = np.flatnonzero(object_ids == k)
             if len(members) and not self.fluid[members[0]] and not self.granular[members[0]]:
                 s = float(np.cbrt(np.median(look.vol0[members])))
-                self.normal[members] = body_normals.density_normals(x0[members], s)
+                self.normal[members] = self._rest_normals(gaussians, members, s)
         self.scenery_normal: np.ndarray | None = None
         self.scenery_kind: np.ndarray | None = None
-        self.scenery_volume: np.ndarray | None = None
+        self.scenery_volume = self.scenery_area = np.zeros(0)
         if look.scenery is not None:
             self._scenery(gaussians.scenery, captured)
         if look.passive is not None:
             object_ids = np.asarray(gaussians.passive.object)
             self.rider_kind = _kind_shares(captured[object_ids])
-            w = np.asarray(gaussians.passive.weights, dtype=np.float64)
-            carrier_normals = self.normal[np.asarray(gaussians.passive.carriers)]
-            self.rider_normal = np.einsum("pk,pki->pi", w, carrier_normals)
+            self.rider_normal = np.zeros((len(object_ids), 3))
+            for k in np.unique(object_ids):
+                members = np.flatnonzero(object_ids == k)
+                s = float(np.cbrt(np.median(look.vol0[look.object == k])))
+                self.rider_normal[members] = self._rest_normals(gaussians.passive, members, s)
+
+    def _rest_normals(self, rows, members: np.ndarray, spacing: float) -> np.ndarray:
+        """Return the normals of some Gaussians of one body at rest.
+
+        Args:
+            rows: Arrays of gaussians.h5, of its scenery or of its carried Gaussians.
+            members: Rows of the body.
+            spacing: Spacing of its Gaussians [m].
+        """
+        shade, facing = getattr(rows, "shade", None), None
+        if shade is not None and self.painted > 0:
+            facing = facing_of_shade(np.asarray(shade)[members], self.painted)
+        x0 = np.asarray(rows.x0, dtype=np.float64)[members]
+        return body_normals.rest_normals(x0, np.asarray(rows.cov0)[members], spacing, facing)
 
     def _scenery(self, rows, captured) -> None:
         """Determine normals, volumes and kinds of the scenery."""
@@ -150,13 +170,25 @@ class Bodies:
             np.maximum(np.asarray(rows.cov0, dtype=np.float64)[:, (0, 3, 5)].max(axis=1), 0)
         )
         normal, volume = np.zeros_like(x0), np.zeros(len(x0))
+        is_flat = body_normals.thin_axes(np.asarray(rows.cov0))[1]
         for k in np.unique(object_ids):
             members = np.flatnonzero(object_ids == k)
             s = max(SCENERY_SPACING * float(np.median(sd[members])), 1e-9)
-            normal[members] = body_normals.density_normals(x0[members], s)
+            normal[members] = self._rest_normals(rows, members, s)
             volume[members] = s**3
         self.scenery_normal, self.scenery_volume = normal, volume
+        self.scenery_area = np.where(is_flat & ~captured[object_ids], np.cbrt(volume) ** 2, 0.0)
         self.scenery_kind = _kind_shares(captured[object_ids])
+
+    def scenery_volumes(self, cell: float) -> np.ndarray:
+        """Return the volumes (n,) [m3] with which scenery hides light.
+
+        The skin of a mesh is empty inside; it counts as thick enough to hide all light.
+
+        Args:
+            cell: Cell size of the occlusion [m].
+        """
+        return np.maximum(self.scenery_volume, OPAQUE_LAYER * cell * self.scenery_area)
 
     def opaque(
         self, parts: list[GaussianBatch], particle_part: int, frame: dict, solid: np.ndarray
@@ -234,6 +266,14 @@ class Bodies:
             s = float(np.cbrt(np.median(self.look.vol0[ids[members]])))
             out[members] = body_normals.density_normals(x[members], s)
         return out
+
+
+def _baked_shading(run) -> float:
+    """Return the strength of the light painted on the colors, 0 if the scene does not say."""
+    try:
+        return float(run.scene["appearance"]["baked_shading"])
+    except (KeyError, TypeError, ValueError, AttributeError):
+        return 0.0
 
 
 def _shade_of_rows(shade: np.ndarray | None, rows: np.ndarray) -> np.ndarray | None:

@@ -29,6 +29,7 @@ from .frame_gaussians import GaussianBatch
 from .particle_optics import optical_values
 from .render_config import Settings
 from .studio import (
+    body_normals,
     compositing,
     deferred_shading,
     density_field,
@@ -164,14 +165,19 @@ class Studio:
 
     def _pyramid(self, opaque, x, ids, granular, part, solid, main):
         """Return the occlusion pyramid of bodies, scenery, sand and snow."""
+        cells = self.chosen.light.cells if self.chosen.light else 150
+        if self.quick:
+            cells = max(int(PREVIEW_RESOLUTION * cells), 1)
+        low, high = self.domain.low, self.domain.high
         xs, volumes, colors = [], [], []
         for k, g in enumerate(opaque):
             if k > main:  # the bodies of carried Gaussians are included already
                 continue
             xs.append(g.x)
-            volumes.append(
-                self.look.vol0[ids[solid]] if k == main else self.bodies.scenery_volume[: len(g.x)]
-            )
+            if k == main:
+                volumes.append(self.look.vol0[ids[solid]])
+            else:
+                volumes.append(self.bodies.scenery_volumes(hiding.cell_size(low, high, cells)))
             colors.append(display.to_linear(np.clip(_base_color(g), 0, 1)))
         if len(granular):
             xs.append(x[granular])
@@ -180,10 +186,7 @@ class Studio:
         points = np.concatenate(xs) if xs else np.zeros((0, 3))
         volume = np.concatenate(volumes) if xs else np.zeros(0)
         color = np.concatenate(colors) if xs else np.zeros((0, 3))
-        cells = self.chosen.light.cells if self.chosen.light else 150
-        if self.quick:
-            cells = max(int(PREVIEW_RESOLUTION * cells), 1)
-        return hiding.occlusion(points, volume, color, self.domain.low, self.domain.high, cells)
+        return hiding.occlusion(points, volume, color, low, high, cells)
 
     def _medium(self, frame, index, ids, x, rows, part) -> tuple[Medium, tuple]:
         """Return the liquid and its drops."""
@@ -333,9 +336,11 @@ class Studio:
         self, moment: Moment, eye: np.ndarray
     ) -> tuple[ProjectableGaussians, np.ndarray, np.ndarray]:
         """Return opaque bodies as Gaussians of linear colors, with normals and kinds."""
-        bodies, normals, kinds = [], list(moment.normals), list(moment.kinds)
-        for part, shade in zip(moment.parts, moment.shades):
+        bodies, normals, kinds = [], [], list(moment.kinds)
+        for part, shade, normal in zip(moment.parts, moment.shades, moment.normals):
             body = part.view_from(eye)
+            normals.append(np.empty_like(normal))
+            body_normals.face_eye(body.x, normal, np.asarray(eye, np.float64), normals[-1])
             color = body.color if shade is None else body.color / shade[:, None]
             bodies.append(replace(body, color=display.to_linear(np.clip(color, 0, 1))))
         if moment.grain is not None:

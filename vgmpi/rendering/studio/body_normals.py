@@ -1,12 +1,110 @@
-"""Normals of bodies from the density of their reference Gaussians, turned with the deformation."""
+"""Normals of bodies at rest, turned with the deformation.
+
+Flat Gaussians lie in the surface: their normal is the axis along which they are thin. Round ones
+take that of a flat one nearby, or the gradient of the density of all.
+"""
 
 import numpy as np
 
+from vgmpi.gaussians.baked_shading import LIGHT
 from vgmpi.runtime.compile_cache import njit_cached
 
 from .value_grid import KERNEL, deposit, new_grid, trilinear
 
 REACH = 3.0  # [spacings] radius of the kernels
+FLATNESS = 0.25  # [-] thickness relative to the smaller width, up to which a Gaussian is flat
+FILLING_DEPTH = 3.0  # [spacings] from a flat Gaussian, up to which others take its normal
+MIN_FACING = 1e-4  # [-] cosine to the painted light that tells the side of a surface
+SEEN_FROM_BEHIND = 0.05  # [-] length of a normal that is turned towards the eye
+
+
+def rest_normals(
+    x: np.ndarray, cov: np.ndarray, spacing: float, facing: np.ndarray | None = None
+) -> np.ndarray:
+    """Return the outward normals (n, 3) of one body at rest, shorter inside of round Gaussians.
+
+    Args:
+        x: Centers of its Gaussians, shape (n, 3) [m].
+        cov: Their covariances, shape (n, 6) [m2].
+        spacing: Their spacing [m].
+        facing: Cosines between normals and the light painted on the colors, shape (n,), or None.
+    """
+    axis, is_flat = thin_axes(cov)
+    flat = np.flatnonzero(is_flat)
+    if not len(flat):
+        return density_normals(x, spacing)
+    normal = axis[flat]
+    side = np.zeros(len(flat))
+    if facing is not None:
+        side = np.where(np.abs(facing[flat]) > MIN_FACING, facing[flat] * (normal @ LIGHT), 0.0)
+    if (side == 0.0).any():
+        outward = density_normals(x, spacing)[flat]
+        side = np.where(side == 0.0, (outward * normal).sum(axis=1), side)
+    normal[side < 0.0] *= -1.0
+    out = np.zeros_like(x)
+    out[flat] = normal
+    filling = np.flatnonzero(~is_flat)
+    if len(filling):
+        from scipy.spatial import cKDTree
+
+        reach = FILLING_DEPTH * spacing
+        distance, nearest = cKDTree(x[flat]).query(x[filling], distance_upper_bound=reach)
+        close = np.isfinite(distance)
+        out[filling[close]] = normal[nearest[close]]
+    return out
+
+
+def thin_axes(cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return unit vectors (n, 3) along which Gaussians are thinnest, and which ones are flat (n,).
+
+    The matrix of cofactors has the same eigenvectors, and the largest eigenvalue where that of the
+    covariance is smallest; squaring it separates that one.
+
+    Args:
+        cov: Covariances, upper triangles, shape (n, 6) [m2].
+    """
+    xx, xy, xz, yy, yz, zz = (np.asarray(cov, dtype=np.float64) / _traces(cov)[:, None]).T
+    a, b, c = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    d, e, f = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
+    area = a + d + f  # sum of the products of two of the eigenvalues, whose sum is 1
+    power = np.stack([a, b, c, b, d, e, c, e, f], axis=1).reshape(-1, 3, 3)
+    for _ in range(4):
+        power /= np.maximum(np.trace(power, axis1=1, axis2=2), 1e-300)[:, None, None]
+        power = power @ power
+    longest = (power**2).sum(axis=1).argmax(axis=1)
+    axis = np.take_along_axis(power, longest[:, None, None], axis=2)[:, :, 0]
+    axis /= np.maximum(np.linalg.norm(axis, axis=1), 1e-300)[:, None]
+    u, v, w = axis.T
+    thin = u * (xx * u + 2 * (xy * v + xz * w)) + v * (yy * v + 2 * yz * w) + zz * w * w
+    half = 0.5 * (1.0 - thin)
+    middle = half - np.sqrt(np.maximum(half * half - (area - 2.0 * thin * half), 0.0))
+    return axis, thin <= FLATNESS**2 * middle
+
+
+def _traces(cov: np.ndarray) -> np.ndarray:
+    """Return the traces (n,) of covariances (n, 6), at least a tiny number."""
+    return np.maximum(np.asarray(cov, dtype=np.float64)[:, (0, 3, 5)].sum(axis=1), 1e-300)
+
+
+@njit_cached(nogil=True, error_model="numpy")
+def face_eye(x, normals, eye, out):
+    """Write the normals (n, 3), turned where they point away from the eye, to out (n, 3).
+
+    One that is turned is short: where the front of a surface is in the same pixel, that prevails.
+
+    Args:
+        x: Positions, shape (n, 3) [m].
+        normals: Normals, shape (n, 3).
+        eye: Position of the eye, shape (3,) [m].
+        out: (out) Shape (n, 3).
+    """
+    for p in range(len(x)):
+        away = 0.0
+        for m in range(3):
+            away += normals[p, m] * (x[p, m] - eye[m])
+        factor = -SEEN_FROM_BEHIND if away > 0.0 else 1.0
+        for m in range(3):
+            out[p, m] = factor * normals[p, m]
 
 
 def density_normals(x: np.ndarray, spacing: float) -> np.ndarray:

@@ -55,6 +55,12 @@ class Occlusion(NamedTuple):
     color: np.ndarray
 
 
+def cell_size(low: np.ndarray, high: np.ndarray, cells: int) -> float:
+    """Return the cell size of the finest level [m], see `occlusion`."""
+    size = np.maximum(high - low, 1e-9)
+    return max(float(np.cbrt(np.prod(size)) / cells), float(size.max()) / 1000)
+
+
 def occlusion(
     x: np.ndarray,
     volume: np.ndarray,
@@ -74,8 +80,7 @@ def occlusion(
         cells: Cells along the cube root of that volume.
     """
     size = np.maximum(high - low, 1e-9)
-    cell = float(np.cbrt(np.prod(size)) / cells)
-    cell = max(cell, float(size.max()) / 1000)
+    cell = cell_size(low, high, cells)
     lower = low - 0.05 * size - 2 * cell
     shape = ((high + 0.05 * size + 2 * cell - lower) / cell).astype(int) // 16 * 16 + 16
     base = np.zeros(tuple(shape), np.float32)

@@ -26,3 +26,13 @@ def apply_baked_shading(
     factor = 1.0 - amount * (1.0 - facing)
     shade = np.clip(factor, MIN_SHADE, 1.0).astype(np.float32) if amount else None
     return rgb * factor[:, None], shade
+
+
+def facing_of_shade(shade: np.ndarray, amount: float) -> np.ndarray:
+    """Return the cosines (n,) between outward normals and the light from the factors (n,).
+
+    Args:
+        shade: Factors of `apply_baked_shading`.
+        amount: Largest reduction with which they were made, above 0.
+    """
+    return 1.0 - 2.0 * (1.0 - np.asarray(shade, dtype=np.float64)) / amount
