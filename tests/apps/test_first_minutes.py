@@ -10,11 +10,12 @@ from tests.support import small_scenes
 from tests.support.small_scenes import scene
 from vgmpi.apps import commands
 from vgmpi.apps.run import cli
+from vgmpi.gaussians.shape_distance import distance
 from vgmpi.io.csv_log import read_rows
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.planning.cost.plan_report import format_plan
 from vgmpi.planning.cost.throughput import Throughput
-from vgmpi.preprocess.shape_sdf import distance, support
+from vgmpi.preprocess.shape_sdf import support
 from vgmpi.runtime.cpu_features import available_cores
 from vgmpi.scene.loader import SceneError, load
 from vgmpi.scene.shapes import Shape

@@ -10,6 +10,7 @@ import pytest
 from tests.preprocess.test_shape_sdf import SHAPES
 from tests.support.launch import ROOT, on_ranks, run
 from tests.support.small_scenes import ROOM, scene, write
+from vgmpi.gaussians import shape_distance
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import ply
 from vgmpi.preprocess import memory_estimate, shape_sdf
@@ -306,11 +307,11 @@ def test_cubes_leave_out_nothing(name):
 
     def wanted(points):
         asked.append(len(points))
-        d = shape_sdf.distance(shape, points)
+        d = shape_distance.distance(shape, points)
         return (d < 0) & (d > -skin)
 
     def none(middles):
-        d = shape_sdf.distance(shape, middles)
+        d = shape_distance.distance(shape, middles)
         return (d > half) | (d < -skin - half)
 
     every = shape_sdf.lattice(wanted, low, high, spacing)

@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from tests.support.small_scenes import ROOM, scene
+from vgmpi.gaussians import shape_distance
 from vgmpi.preprocess import shape_sdf
 from vgmpi.preprocess.collider_sdf import ShapeCollider, VoxelCollider
 from vgmpi.preprocess.placement import PlacementError, axis_rotation, placement
@@ -76,7 +77,7 @@ def filled(shape, spacing):
     directions = np.eye(3)
     high = np.array([shape_sdf.support(shape, d) for d in directions])
     low = -np.array([shape_sdf.support(shape, -d) for d in directions])
-    return shape_sdf.lattice(lambda x: shape_sdf.distance(shape, x) < 0, low, high, spacing)
+    return shape_sdf.lattice(lambda x: shape_distance.distance(shape, x) < 0, low, high, spacing)
 
 
 @pytest.mark.parametrize("name", SHAPES)
@@ -100,12 +101,12 @@ def test_distance_is_the_distance_to_the_surface(name):
     shape, h = Shape.model_validate(SHAPES[name][0]), 0.015
     inside = filled(shape, h)
     all_ = shape_sdf.lattice(lambda x: np.ones(len(x), bool), [-0.5] * 3, [0.6] * 3, h)
-    value = shape_sdf.distance(shape, all_)
+    value = shape_distance.distance(shape, all_)
     outside = all_[value >= 0]
     rng = np.random.default_rng(4)
     probe = rng.uniform(-0.5, 0.6, (400, 3))
     to_inside, to_outside = (cKDTree(x).query(probe)[0] for x in (inside, outside))
-    found = shape_sdf.distance(shape, probe)
+    found = shape_distance.distance(shape, probe)
     brute = np.where(found < 0, -to_outside, to_inside)
     assert np.abs(found - brute).max() < 2 * h
 
@@ -116,7 +117,7 @@ def test_cone_at_chosen_points():
     points = [[0, 0, 1.5], [1, 0, 1], [0.5, 0, -0.3], [2, 0, -1], [0, 0, 0.1], [0, 0, 0.8]]
     root = np.sqrt(0.5)
     want = [0.5, root, 0.3, np.sqrt(2), -0.1, -0.2 * root]
-    assert np.allclose(shape_sdf.distance(cone, np.array(points, float)), want, atol=1e-14)
+    assert np.allclose(shape_distance.distance(cone, np.array(points, float)), want, atol=1e-14)
 
 
 def test_a_blend_fills_the_edge_where_parts_meet():
@@ -130,7 +131,7 @@ def test_a_blend_fills_the_edge_where_parts_meet():
     blended = Shape.model_validate({"union": [post, plate], "blend_radius": k})
 
     def new(x):
-        return (shape_sdf.distance(blended, x) < 0) & (shape_sdf.distance(sharp, x) >= 0)
+        return (shape_distance.distance(blended, x) < 0) & (shape_distance.distance(sharp, x) >= 0)
 
     edge = shape_sdf.lattice(new, [-0.25, -0.25, -0.01], [0.25, 0.25, 0.15], h)
     more = 2 * np.pi * (0.1 * k**2 / 6 + k**3 / 30)
@@ -146,11 +147,13 @@ def test_blended_distances_are_bounds():
     rng = np.random.default_rng(6)
     x, step = rng.uniform(-0.3, 0.5, (4000, 3)), rng.normal(size=(4000, 3))
     step *= 1e-4 / np.linalg.norm(step, axis=1)[:, None]
-    slope = np.abs(shape_sdf.distance(shape, x + step) - shape_sdf.distance(shape, x)) / 1e-4
+    slope = (
+        np.abs(shape_distance.distance(shape, x + step) - shape_distance.distance(shape, x)) / 1e-4
+    )
     assert slope.max() < 1 + 1e-9
     assert shape_sdf.blend_overhang(shape) == pytest.approx(2 * 0.08 / 4)
     same = Shape.model_validate({"union": [balls[0], balls[0]], "blend_radius": 0.08})
-    assert shape_sdf.distance(same, np.array([[0.12, 0, 0]]))[0] == pytest.approx(0.0)
+    assert shape_distance.distance(same, np.array([[0.12, 0, 0]]))[0] == pytest.approx(0.0)
     cut = Shape.model_validate({"difference": [{"union": balls, "blend_radius": 0.08}, balls[0]]})
     assert shape_sdf.blend_overhang(cut) == 0.0  # its extents are searched, with the blend
     assert shape_sdf.support(cut, np.array([1.0, 0, 0])) == pytest.approx(0.36, abs=1e-6)
@@ -190,9 +193,9 @@ def test_ellipsoid_distance_near_the_surface():
     normal = unit / radii
     normal /= np.linalg.norm(normal, axis=1)[:, None]
     for step in (-0.01, 0.0, 0.01):
-        found = shape_sdf.distance(shape, center + unit * radii + step * normal)
+        found = shape_distance.distance(shape, center + unit * radii + step * normal)
         assert np.abs(found - step).max() < 0.001
-    assert shape_sdf.distance(shape, center[None])[0] == pytest.approx(-0.15)
+    assert shape_distance.distance(shape, center[None])[0] == pytest.approx(-0.15)
 
 
 def test_lattice_is_aligned_and_faces_on_points_take_one_side():

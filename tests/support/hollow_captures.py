@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vgmpi.gaussians import shape_distance
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
 from vgmpi.preprocess import shape_sdf
@@ -72,7 +73,7 @@ class Body:
     shape: Shape
 
     def solid(self, x: np.ndarray) -> np.ndarray:
-        return shape_sdf.distance(self.shape, x) < 0
+        return shape_distance.distance(self.shape, x) < 0
 
     def volume(self, edge: float = 0.002) -> float:
         """Of what was captured [m3], counted on a lattice of cells with this edge [m]."""
@@ -89,7 +90,7 @@ def body(name: str, count: int = 20_000, seed: int = 1) -> Body:
     x = _on_surface(shape, 4 * count, random)
     apart = np.sqrt(_area(shape, x) / count)
     x = x[poisson_disc_subset(x, 0.85 * apart)]
-    normal = shape_sdf.normals(shape, x, 1e-4)
+    normal = shape_distance.normals(shape, x, 1e-4)
     x, normal = x[normal[:, 2] > UNSEEN], normal[normal[:, 2] > UNSEEN]
     n = len(x)
     rgb = shape_sdf.colors(shape, x, (0.5, 0.5, 0.5)) * (0.65 + 0.35 * normal[:, 2:])
@@ -123,10 +124,12 @@ def _on_surface(shape: Shape, count: int, random: np.random.Generator) -> np.nda
     found, total = [], 0
     while total < count:
         x = random.uniform(low - layer, high + layer, (200_000, 3))
-        x = x[np.abs(shape_sdf.distance(shape, x)) < layer]
+        x = x[np.abs(shape_distance.distance(shape, x)) < layer]
         for _ in range(2):
-            x = x - shape_sdf.distance(shape, x)[:, None] * shape_sdf.normals(shape, x, 1e-5)
-        x = x[np.abs(shape_sdf.distance(shape, x)) < 1e-4]
+            x = x - shape_distance.distance(shape, x)[:, None] * shape_distance.normals(
+                shape, x, 1e-5
+            )
+        x = x[np.abs(shape_distance.distance(shape, x)) < 1e-4]
         found.append(x)
         total += len(x)
     return np.concatenate(found)[:count]
@@ -137,5 +140,5 @@ def _area(shape: Shape, x: np.ndarray) -> float:
     low, high = _box(shape)
     layer = 0.003
     points = np.random.default_rng(0).uniform(low - layer, high + layer, (400_000, 3))
-    share = (np.abs(shape_sdf.distance(shape, points)) < layer).mean()
+    share = (np.abs(shape_distance.distance(shape, points)) < layer).mean()
     return float(share * np.prod(high - low + 2 * layer) / (2 * layer))

@@ -121,3 +121,10 @@ def surface_of_revolution(radius, height, around=96):
             a, b = i * around + j, i * around + (j + 1) % around
             triangles += [(a, b, b + around), (a, b + around, a + around)]
     return points, np.array(triangles)
+
+
+def cube(edge):
+    """Return vertices and outward triangles of a cube that stands on z = 0, about the z axis."""
+    corner = (np.indices((2, 2, 2)).reshape(3, -1).T - [0.5, 0.5, 0]) * edge
+    faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    return corner, np.array([t for a, b, c, d in faces for t in ((a, b, c), (a, c, d))])

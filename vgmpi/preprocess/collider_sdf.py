@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
+from vgmpi.gaussians import shape_distance
 from vgmpi.kernels.rigid.free_bodies import RigidBody, mass_properties
 from vgmpi.kernels.rigid.shell_sampling import ShellLattice
 from vgmpi.preprocess.sampling.voxels import Voxels
@@ -68,8 +69,8 @@ class ShapeCollider:
         layer = np.indices((1, *(last - first)[1:])).reshape(3, -1).T + first
         for k in range(len(free)):
             local = self.placement.to_local((layer + (k, 0, 0) + 0.5) * dx)
-            free[k] = (shape_sdf.distance(self.shape, local) > 0).reshape(free[k].shape)
-            outside[k] = (shape_sdf.distance(solid, local) > 0).reshape(free[k].shape)
+            free[k] = (shape_distance.distance(self.shape, local) > 0).reshape(free[k].shape)
+            outside[k] = (shape_distance.distance(solid, local) > 0).reshape(free[k].shape)
         parts, _ = scipy.ndimage.label(free)
         occupied = parts[tuple(np.unique(index, axis=0).T)]
         if (occupied == 0).any() or np.isin(occupied, parts[free & outside]).any():
@@ -80,14 +81,14 @@ class ShapeCollider:
 
     def distance(self, points: np.ndarray) -> np.ndarray:
         """Return the signed distance (m,) [m] of `points` (m, 3) [m], negative inside."""
-        return self.placement.scale * shape_sdf.distance(
+        return self.placement.scale * shape_distance.distance(
             self.shape, self.placement.to_local(points)
         )
 
     def normal(self, points: np.ndarray) -> np.ndarray:
         """Return outward unit normals (m, 3)."""
         step = self.step / self.placement.scale
-        local = shape_sdf.normals(self.shape, self.placement.to_local(points), step)
+        local = shape_distance.normals(self.shape, self.placement.to_local(points), step)
         return rotate(self.placement.rotation, local)
 
 

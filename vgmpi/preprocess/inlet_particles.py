@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from vgmpi.gaussians.shape_distance import distance
 from vgmpi.planning.inlet_schedule import inlet_speed, outlet_plans, particle_count
 from vgmpi.planning.phases_and_groups import phases_with_surface
 from vgmpi.runtime import memory_budget
@@ -15,7 +16,7 @@ from . import memory_estimate
 from .built_object import BuiltObject, isotropic_gaussians
 from .collider_sdf import Collider
 from .placement import SimilarityTransform
-from .shape_sdf import contains, distance
+from .shape_sdf import contains
 
 POINTS_PER_LAYER = 4  # points per layer at which a nozzle is checked
 

@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from vgmpi.gaussians import shape_distance
 from vgmpi.runtime import memory_budget
 from vgmpi.scene.objects import SIZES, Object
 from vgmpi.scene.scene import Scene
@@ -173,7 +174,7 @@ def min_particle_count(scene: Scene, obj: Object) -> float:
     assert region is not None and shape is not None
     transform, low, high = region
     draw = np.random.Generator(np.random.Philox(1)).random((_SAMPLE_COUNT, 3))
-    depth = -transform.scale * shape_sdf.distance(
+    depth = -transform.scale * shape_distance.distance(
         shape, transform.to_local(low + draw * (high - low))
     )
     spacing, volume = spacing_of(scene, obj), float(np.prod(high - low))

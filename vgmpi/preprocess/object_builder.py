@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from vgmpi.gaussians import shape_distance
 from vgmpi.gaussians.baked_shading import apply_baked_shading
 from vgmpi.gaussians.capture_notes import log_capture_notes
 from vgmpi.gaussians.cloud import GaussianCloud
@@ -109,7 +110,7 @@ def _from_shape(scene: Scene, k: int, obj: Object) -> BuiltObject:
 
     def signed_distance(points: np.ndarray) -> np.ndarray:
         """Return the signed distance [m] of points."""
-        return transform.scale * shape_sdf.distance(shape, transform.to_local(points))
+        return transform.scale * shape_distance.distance(shape, transform.to_local(points))
 
     layer_count = memory_estimate.SCENERY_LAYER_COUNT + 0.01  # a surface may lie at a lattice point
     skin = layer_count * spacing if obj.role == "scenery" else np.inf
@@ -136,7 +137,7 @@ def _from_shape(scene: Scene, k: int, obj: Object) -> BuiltObject:
     local = transform.to_local(x)
     rgb, shade = shape_sdf.colors(shape, local, obj.color), None
     if not _is_fluid(scene, obj):
-        normal = shape_sdf.normals(shape, local, 0.5 * spacing / transform.scale)
+        normal = shape_distance.normals(shape, local, 0.5 * spacing / transform.scale)
         rgb, shade = apply_baked_shading(
             rgb, rotate(transform.rotation, normal), scene.appearance.baked_shading
         )

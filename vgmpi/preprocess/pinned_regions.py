@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vgmpi.gaussians.shape_distance import distance
 from vgmpi.kernels.rigid.free_bodies import RigidBody
 from vgmpi.scene.pinned_parts import WORLD, PinnedPart
 from vgmpi.scene.rigid_motion import Trajectory
@@ -12,7 +13,7 @@ from vgmpi.scene.scene import Scene
 
 from .load_targets import index_runs
 from .object_builder import spacing_of
-from .shape_sdf import contains, distance
+from .shape_sdf import contains
 
 log = logging.getLogger("vgmpi")
 SURROUNDINGS_CELLS = 3  # [cells] around its particles within which a part has a surface

@@ -6,14 +6,16 @@ import numpy as np
 
 from vgmpi.gaussians.baked_shading import facing_of_shade
 
+from . import shape_surfaces
 from .appearance import Appearance
 from .export_model import is_capture
-from .frame_gaussians import GaussianBatch
-from .studio import body_normals, lattice_deformation
+from .frame_gaussians import GaussianBatch, Scenery
+from .studio import body_normals, lattice_deformation, surface_edges
 
 GRANULAR = ("sand", "snow")
 TEAR_LIMITS = 4.0, 6.5  # [spacings] lattice links of a liquid tear between these lengths
 SIDES = ("west", "south", "bottom", "east", "north", "top")
+HIDDEN_SCALE = 0.1  # [-] of the variances of round Gaussians that would show through flat ones
 OPAQUE_LAYER = 2.0  # [cells] thickness of a surface without filling that lets no light through
 SCENERY_SPACING = 1.6  # [standard deviations] assumed spacing of Gaussians of scenery
 
@@ -129,53 +131,79 @@ class Bodies:
         self.spacing = np.cbrt(look.vol0)
         self.painted = _baked_shading(look.run)
         x0 = np.asarray(gaussians.x0, dtype=np.float64)
-        self.normal = np.zeros_like(x0)
+        self.normal, self.shift = np.zeros_like(x0), np.zeros_like(x0)
+        cov0 = look.cov0.copy()
         for k in range(len(objects)):
             members = np.flatnonzero(object_ids == k)
             if len(members) and not self.fluid[members[0]] and not self.granular[members[0]]:
                 s = float(np.cbrt(np.median(look.vol0[members])))
-                self.normal[members] = self._rest_normals(gaussians, members, s)
+                surface = self._rest_surface(gaussians, members, s, captured[k])
+                self.normal[members], self.shift[members], cov0[members] = surface
+        look.cov0 = cov0
+        self.shifted = np.asarray(self.shift.any(axis=1))
         self.scenery_normal: np.ndarray | None = None
         self.scenery_kind: np.ndarray | None = None
         self.scenery_volume = self.scenery_area = np.zeros(0)
         if look.scenery is not None:
-            self._scenery(gaussians.scenery, captured)
+            self._scenery(look.scenery, gaussians.scenery, captured)
+        self.surface = shape_surfaces.surface_of_bodies(look)
+        self.moving = [] if look.scenery is None else look.scenery.moving
+        self.scenery_surface = shape_surfaces.surface_of_scenery(look)
         if look.passive is not None:
             object_ids = np.asarray(gaussians.passive.object)
             self.rider_kind = _kind_shares(captured[object_ids])
             self.rider_normal = np.zeros((len(object_ids), 3))
+            shift, cov0 = self.rider_normal.copy(), look.passive.cov0.copy()
             for k in np.unique(object_ids):
                 members = np.flatnonzero(object_ids == k)
                 s = float(np.cbrt(np.median(look.vol0[look.object == k])))
-                self.rider_normal[members] = self._rest_normals(gaussians.passive, members, s)
+                surface = self._rest_surface(gaussians.passive, members, s, captured[k])
+                self.rider_normal[members], shift[members], cov0[members] = surface
+            look.passive.offset = look.passive.offset + shift[:, None]
+            look.passive.cov0 = cov0
 
-    def _rest_normals(self, rows, members: np.ndarray, spacing: float) -> np.ndarray:
-        """Return the normals of some Gaussians of one body at rest.
+    def _rest_surface(
+        self, rows, members: np.ndarray, spacing: float, captured: bool
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return normals (n, 3) of one body at rest, and its Gaussians cut at edges.
+
+        The cut is a displacement (n, 3) [m] and a covariance (n, 6) [m2] of each.
 
         Args:
             rows: Arrays of gaussians.h5, of its scenery or of its carried Gaussians.
             members: Rows of the body.
             spacing: Spacing of its Gaussians [m].
+            captured: Whether it is a capture, whose Gaussians stay as they are.
         """
         shade, facing = getattr(rows, "shade", None), None
         if shade is not None and self.painted > 0:
             facing = facing_of_shade(np.asarray(shade)[members], self.painted)
         x0 = np.asarray(rows.x0, dtype=np.float64)[members]
-        return body_normals.rest_normals(x0, np.asarray(rows.cov0)[members], spacing, facing)
+        cov = np.asarray(rows.cov0, dtype=np.float64)[members]
+        normal, flat, covered = body_normals.rest_normals(x0, cov, spacing, facing)
+        shift = np.zeros_like(x0)
+        if len(flat) and not captured:
+            cut = surface_edges.cut_at_edges(x0[flat], normal[flat], cov[flat])
+            shift[flat], cov[flat] = cut
+            cov[covered] *= HIDDEN_SCALE
+        return normal, shift, cov
 
-    def _scenery(self, rows, captured) -> None:
+    def _scenery(self, scenery: Scenery, rows, captured: np.ndarray) -> None:
         """Determine normals, volumes and kinds of the scenery."""
         x0, object_ids = np.asarray(rows.x0, dtype=np.float64), np.asarray(rows.object)
         sd = np.sqrt(
             np.maximum(np.asarray(rows.cov0, dtype=np.float64)[:, (0, 3, 5)].max(axis=1), 0)
         )
         normal, volume = np.zeros_like(x0), np.zeros(len(x0))
+        shift, cov0 = np.zeros_like(x0), scenery.cov0.copy()
         is_flat = body_normals.thin_axes(np.asarray(rows.cov0))[1]
         for k in np.unique(object_ids):
             members = np.flatnonzero(object_ids == k)
             s = max(SCENERY_SPACING * float(np.median(sd[members])), 1e-9)
-            normal[members] = self._rest_normals(rows, members, s)
+            surface = self._rest_surface(rows, members, s, captured[k])
+            normal[members], shift[members], cov0[members] = surface
             volume[members] = s**3
+        scenery.x0, scenery.cov0 = x0 + shift, cov0
         self.scenery_normal, self.scenery_volume = normal, volume
         self.scenery_area = np.where(is_flat & ~captured[object_ids], np.cbrt(volume) ** 2, 0.0)
         self.scenery_kind = _kind_shares(captured[object_ids])
@@ -203,9 +231,12 @@ class Bodies:
         """
         ids = np.asarray(frame["id"])[solid]
         normal = self._current_normals(ids, frame, solid)
+        particles = self._cut_at_edges(parts[particle_part].subset_rows(solid), ids, frame, solid)
+        if self.surface is not None:
+            particles = shape_surfaces.without(particles, np.isin(ids, self.surface.covered))
         out = [
             (
-                parts[particle_part].subset_rows(solid),
+                particles,
                 normal,
                 _kind_shares(self.captured[ids]),
                 _shade_of_rows(self.look.shade, ids),
@@ -219,7 +250,12 @@ class Bodies:
             for rows, pose in zip(scenery.moving, frame.get("poses", ())):
                 rotated[rows] = rotated[rows] @ np.asarray(pose)[:3, :3].T
             shade = getattr(self.look.run.gaussians.scenery, "shade", None)
-            out.insert(0, (parts[0], rotated, self.scenery_kind, shade))
+            static = parts[0]
+            if self.scenery_surface is not None:
+                covered = np.zeros(len(static.x), bool)
+                covered[self.scenery_surface.covered] = True
+                static = shape_surfaces.without(static, covered)
+            out.insert(0, (static, rotated, self.scenery_kind, shade))
         if len(parts) > particle_part + 1:
             rider_rows = parts[particle_part + 1].rider_rows
             assert rider_rows is not None
@@ -239,7 +275,46 @@ class Bodies:
                     _shade_of_rows(shade, rider_rows),
                 )
             )
+        out += self._surfaces_of_shapes(parts, particle_part, frame)
         return tuple(map(list, zip(*out)))
+
+    def _surfaces_of_shapes(self, parts, particle_part: int, frame: dict) -> list[tuple]:
+        """Return the flat Gaussians of shapes as `opaque` does."""
+        out = []
+        for surface, number in ((self.surface, particle_part), (self.scenery_surface, 0)):
+            if surface is None:
+                continue
+            carriers = parts[number]
+            if surface is self.surface:
+                row_of = np.full(len(self.captured), -1)
+                row_of[np.asarray(frame["id"])] = np.arange(len(carriers.x))
+                rows, shade = row_of[surface.parent], self.look.shade
+                F = np.asarray(frame["F"])[rows]
+            else:
+                rows = surface.parent
+                shade = getattr(self.look.run.gaussians.scenery, "shade", None)
+                F_all = np.tile(np.eye(3).ravel(), (len(carriers.x), 1))
+                for members, pose in zip(self.moving, frame.get("poses", ())):
+                    F_all[members] = np.asarray(pose)[:3, :3].ravel()
+                F = F_all[rows]
+            batch, normal, here = shape_surfaces.carry(surface, carriers, rows, F)
+            kind = np.zeros((len(here), 3))
+            out.append((batch, normal, kind, _shade_of_rows(shade, surface.parent[here])))
+        return out
+
+    def _cut_at_edges(
+        self, part: GaussianBatch, ids: np.ndarray, frame: dict, rows: np.ndarray
+    ) -> GaussianBatch:
+        """Return particles, those of them moved that were cut at edges."""
+        cut = np.flatnonzero(self.shifted[ids])
+        if not len(cut):
+            return part
+        x, shift = part.x.copy(), self.shift[ids[cut]]
+        if "F" in frame:
+            F = np.asarray(frame["F"], dtype=np.float64)[rows[cut]].reshape(-1, 3, 3)
+            shift = np.einsum("nij,nj->ni", F, shift)
+        x[cut] += shift
+        return part._replace(x=x)
 
     def _current_normals(self, ids, frame, rows) -> np.ndarray:
         """Return the normals of solids in a frame."""

@@ -14,14 +14,18 @@ from .value_grid import KERNEL, deposit, new_grid, trilinear
 REACH = 3.0  # [spacings] radius of the kernels
 FLATNESS = 0.25  # [-] thickness relative to the smaller width, up to which a Gaussian is flat
 FILLING_DEPTH = 3.0  # [spacings] from a flat Gaussian, up to which others take its normal
+COVERED_DEPTH = 1.0  # [spacings] from a flat Gaussian, up to which round ones are hidden by it
 MIN_FACING = 1e-4  # [-] cosine to the painted light that tells the side of a surface
 SEEN_FROM_BEHIND = 0.05  # [-] length of a normal that is turned towards the eye
 
 
 def rest_normals(
     x: np.ndarray, cov: np.ndarray, spacing: float, facing: np.ndarray | None = None
-) -> np.ndarray:
-    """Return the outward normals (n, 3) of one body at rest, shorter inside of round Gaussians.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the outward normals (n, 3) of one body at rest, and rows of two kinds of Gaussians.
+
+    The kinds are flat ones, and round ones right below them. The normals of round ones are shorter
+    inside.
 
     Args:
         x: Centers of its Gaussians, shape (n, 3) [m].
@@ -32,7 +36,7 @@ def rest_normals(
     axis, is_flat = thin_axes(cov)
     flat = np.flatnonzero(is_flat)
     if not len(flat):
-        return density_normals(x, spacing)
+        return density_normals(x, spacing), flat, flat
     normal = axis[flat]
     side = np.zeros(len(flat))
     if facing is not None:
@@ -43,7 +47,7 @@ def rest_normals(
     normal[side < 0.0] *= -1.0
     out = np.zeros_like(x)
     out[flat] = normal
-    filling = np.flatnonzero(~is_flat)
+    filling = covered = np.flatnonzero(~is_flat)
     if len(filling):
         from scipy.spatial import cKDTree
 
@@ -51,7 +55,8 @@ def rest_normals(
         distance, nearest = cKDTree(x[flat]).query(x[filling], distance_upper_bound=reach)
         close = np.isfinite(distance)
         out[filling[close]] = normal[nearest[close]]
-    return out
+        covered = filling[distance < COVERED_DEPTH * spacing]
+    return out, flat, covered
 
 
 def thin_axes(cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

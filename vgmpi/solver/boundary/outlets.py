@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from vgmpi.gaussians.shape_distance import distance
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.inlet_schedule import OutletPlan
 from vgmpi.planning.plan import Plan
-from vgmpi.preprocess.shape_sdf import blend_overhang, distance, support
+from vgmpi.preprocess.shape_sdf import blend_overhang, support
 
 from .flow_accounting import Tally
 
