@@ -30,7 +30,7 @@ COVERED = 1.3  # [spacings] depth down to which round Gaussians are not drawn
 STEP = 0.05  # [spacings] step of the differences that give normals
 RADIUS = (3 / (4 * np.pi)) ** (1 / 3)  # [spacings] standard deviation of the round Gaussians
 MIN_OPACITY = 0.5  # [-] bodies that are fainter show their inside
-STEPS = 4  # towards the surface
+STEPS = 2  # towards the surface
 ON_SURFACE = 0.05  # [spacings] largest distance of a point that has arrived
 SMOOTH = 0.9  # [-] least slope of the distance at a point; it is less at an edge
 
@@ -58,7 +58,7 @@ def surface_of_bodies(look: Appearance) -> ShapeSurface | None:
 
     Bodies that are faint, or whose Gaussians were merged, or that lack a deformation, have none.
     """
-    found: list[ShapeSurface] = []
+    surfaces: list[ShapeSurface] = []
     merged = () if look.passive is None else np.unique(look.run.gaussians.passive.object)
     x0 = np.asarray(look.run.gaussians.x0, dtype=np.float64)
     for k, placed in enumerate(_shapes_of(look)):
@@ -69,15 +69,15 @@ def surface_of_bodies(look: Appearance) -> ShapeSurface | None:
         members = np.flatnonzero(look.object == k)
         if len(members) and np.median(look.opacity[members]) >= MIN_OPACITY:
             spacing = float(np.cbrt(np.median(look.vol0[members])))
-            found.append(_in_rows(_surface_of(*placed, x0[members], spacing), members))
-    return _joined(found)
+            surfaces.append(_in_rows(_surface_of(*placed, x0[members], spacing), members))
+    return _joined(surfaces)
 
 
 def surface_of_scenery(look: Appearance) -> ShapeSurface | None:
     """Return the flat Gaussians of scenery made of shapes, None if there is none."""
     if look.scenery is None:
         return None
-    found: list[ShapeSurface] = []
+    surfaces: list[ShapeSurface] = []
     object_ids = np.asarray(look.run.gaussians.scenery.object)
     for k, placed in enumerate(_shapes_of(look)):
         members = np.flatnonzero(object_ids == k)
@@ -86,8 +86,10 @@ def surface_of_scenery(look: Appearance) -> ShapeSurface | None:
         if np.median(look.scenery.opacity[members]) >= MIN_OPACITY:
             sd = np.sqrt(np.median(look.scenery.cov0[members, 0]))
             spacing = float(sd / RADIUS)
-            found.append(_in_rows(_surface_of(*placed, look.scenery.x0[members], spacing), members))
-    return _joined(found)
+            surfaces.append(
+                _in_rows(_surface_of(*placed, look.scenery.x0[members], spacing), members)
+            )
+    return _joined(surfaces)
 
 
 def carry(
@@ -101,17 +103,17 @@ def carry(
         rows: Row of the carrier of each in `part`, shape (n,), -1 for absent ones.
         F: Deformations of the carriers, shape (n, 9), with any values for absent ones.
     """
-    here = np.flatnonzero(rows >= 0)
-    rows, F = rows[here], np.ascontiguousarray(F[here], dtype=np.float64)
-    x = part.x[rows] + np.einsum("nij,nj->ni", F.reshape(-1, 3, 3), surface.shift[here])
-    normal = np.empty((len(here), 3))
-    body_normals.turn_normals(surface.normal[here], F, normal)
-    cov = shape_evolution.deformed_covariance(surface.cov[here], F)
+    present = np.flatnonzero(rows >= 0)
+    rows, F = rows[present], np.ascontiguousarray(F[present], dtype=np.float64)
+    x = part.x[rows] + np.einsum("nij,nj->ni", F.reshape(-1, 3, 3), surface.shift[present])
+    normal = np.empty((len(present), 3))
+    body_normals.turn_normals(surface.normal[present], F, normal)
+    cov = shape_evolution.deformed_covariance(surface.cov[present], F)
     bright = None if part.bright is None else part.bright[rows]
     batch = GaussianBatch(
         x, cov, part.opacity[rows], part.color, part.rows[rows], bright=bright
     )  # fmt: skip
-    return batch, normal, here
+    return batch, normal, present
 
 
 def without(part: GaussianBatch, covered: np.ndarray) -> GaussianBatch:
@@ -139,8 +141,8 @@ def _shapes_of(look: Appearance) -> list[tuple[Any, np.ndarray] | None]:
     out: list[tuple[Any, np.ndarray] | None] = []
     for entry in look.objects:
         shape, matrix = _shape(records.get(entry.get("name"))), entry.get("transform")
-        known = shape is not None and matrix is not None
-        out.append((shape, np.array(matrix, dtype=np.float64)) if known else None)
+        is_placed = shape is not None and matrix is not None
+        out.append((shape, np.array(matrix, dtype=np.float64)) if is_placed else None)
     return out
 
 
@@ -219,13 +221,13 @@ def _slope(distance, points: np.ndarray, step: float) -> np.ndarray:
     """Return the gradients (n, 3) of a distance by central differences."""
     out = np.empty_like(points)
     for axis in range(3):
-        way = np.zeros(3)
-        way[axis] = step
-        out[:, axis] = (distance(points + way) - distance(points - way)) / (2.0 * step)
+        offset = np.zeros(3)
+        offset[axis] = step
+        out[:, axis] = (distance(points + offset) - distance(points - offset)) / (2.0 * step)
     return out
 
 
 def _first_of_equals(points: np.ndarray, normal: np.ndarray, size: float) -> np.ndarray:
-    """Return rows of points, one of those in each cell of a size [m] that face the same way."""
+    """Return rows of points, one of those in each cell of a size [m] whose normals agree."""
     key = np.concatenate([np.floor(points / size), np.round(2.0 * normal)], axis=1)
     return np.sort(np.unique(key.astype(np.int64), axis=0, return_index=True)[1])

@@ -297,9 +297,9 @@ class Bodies:
                 for members, pose in zip(self.moving, frame.get("poses", ())):
                     F_all[members] = np.asarray(pose)[:3, :3].ravel()
                 F = F_all[rows]
-            batch, normal, here = shape_surfaces.carry(surface, carriers, rows, F)
-            kind = np.zeros((len(here), 3))
-            out.append((batch, normal, kind, _shade_of_rows(shade, surface.parent[here])))
+            batch, normal, present = shape_surfaces.carry(surface, carriers, rows, F)
+            kind = np.zeros((len(present), 3))
+            out.append((batch, normal, kind, _shade_of_rows(shade, surface.parent[present])))
         return out
 
     def _cut_at_edges(

@@ -50,17 +50,17 @@ def _cut(x, normal, nearest, shift, cov):
             if not _closest_edge(x, normal, nearest, p, axis, first, u):
                 break
             sd = np.sqrt(max(_spread(cov[p], u), 0.0))
-            ahead = behind = WIDTH * sd
+            upper = lower = WIDTH * sd
             for q in nearest[p]:
                 e, side = _distance(x, normal, p, q, u)
                 if side > 0.7:
-                    ahead = min(ahead, e)
+                    upper = min(upper, e)
                 elif side < -0.7:
-                    behind = min(behind, e)
-            share = max(0.5 * (ahead + behind) / max(WIDTH * sd, 1e-300), LEAST_WIDTH)
+                    lower = min(lower, e)
+            share = max(0.5 * (upper + lower) / max(WIDTH * sd, 1e-300), LEAST_WIDTH)
             if share < 1.0:
                 for m in range(3):
-                    shift[p, m] += 0.5 * (ahead - behind) * u[m]
+                    shift[p, m] += 0.5 * (upper - lower) * u[m]
                 _narrow(cov[p], u, share)
             first[:] = u
 
