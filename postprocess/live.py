@@ -19,6 +19,7 @@ from pathlib import Path
 from vgmpi.io.run_reader import RunError
 from vgmpi.rendering import render_config
 from vgmpi.rendering.render_config import SettingsError
+from vgmpi.runtime import safe_open
 from vgmpi.runtime.exit_handler import exit_code_from_exceptions
 from vgmpi.runtime.suggestions import did_you_mean_file
 
@@ -28,6 +29,7 @@ MAX_PARTICLES = 300_000  # Gaussians that a browser draws at a usable rate
 LOCAL_HOSTS = ("127.0.0.1", "localhost", "::1")
 ANY_HOST = ("0.0.0.0", "::", "")  # all interfaces of this machine
 MIN_TOKEN = 8  # letters of a token
+MAX_TOKEN = 1024  # [bytes] of the file of a token
 LOW_PRIORITY = 10  # of a page that a run has started
 
 
@@ -45,12 +47,17 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--host", default="127.0.0.1", help="interface; 0.0.0.0: all of them [this machine alone]"
     )
-    p.add_argument(
+    tokens = p.add_mutually_exclusive_group()
+    tokens.add_argument(
         "--token",
-        nargs="?",
-        const="",
-        metavar="WORD",
-        help="require this word in the address; without WORD a random one [random with --host]",
+        action="store_true",
+        help="require a random word in the address, which is printed [with --host: always]",
+    )
+    tokens.add_argument(
+        "--token-file",
+        type=Path,
+        metavar="FILE",
+        help="require the word in this file, which nobody else may read (chmod 600)",
     )
     p.add_argument(
         "--particles",
@@ -79,16 +86,32 @@ def check_arguments(args: argparse.Namespace) -> None:
         raise RunError(f"--particles: {args.particles}: allowed: 1 to {MAX_PARTICLES}")
     if args.linger is not None and not args.linger >= 0:
         raise RunError(f"--linger: {args.linger}: allowed: 0 or more seconds")
-    if args.token and not re.fullmatch(rf"[A-Za-z0-9_-]{{{MIN_TOKEN},}}", args.token):
-        message = f"{MIN_TOKEN} or more letters, digits, - and _, or no word for a random token"
-        raise RunError(f"--token: allowed: {message}")
 
 
 def choose_token(args: argparse.Namespace) -> str | None:
-    """Return the token of the page, None for a page of this machine alone."""
-    if args.token is None and args.host in LOCAL_HOSTS:
+    """Return the token of the page, None for a page of this machine alone. Raises RunError."""
+    if args.token_file is not None:
+        return read_token(args.token_file)
+    if not args.token and args.host in LOCAL_HOSTS:
         return None
-    return args.token or secrets.token_urlsafe(24)
+    return secrets.token_urlsafe(24)
+
+
+def read_token(path: Path) -> str:
+    """Return the word in a file that only its owner may read. Raises RunError."""
+    try:
+        word = safe_open.read_regular_file(path, MAX_TOKEN).decode("ascii").strip()
+        mode = path.stat().st_mode
+    except UnicodeDecodeError:
+        word, mode = "", 0
+    except OSError as error:
+        raise RunError(f"--token-file: {path}: {error.strerror}") from None
+    if mode & 0o077:
+        raise RunError(f"--token-file: {path}: others may read it: chmod 600 {path}")
+    if not re.fullmatch(rf"[A-Za-z0-9_-]{{{MIN_TOKEN},}}", word):
+        message = f"allowed: one word of {MIN_TOKEN} or more letters, digits, - and _"
+        raise RunError(f"--token-file: {path}: {message}")
+    return word
 
 
 def address(host: str, port: int, token: str | None) -> str:
@@ -113,8 +136,9 @@ def serve_page(args: argparse.Namespace) -> int:
 
     path = args.settings or render_config.find_settings(args.out)
     chosen = render_config.load(path)
+    token = choose_token(args)
     sock = open_socket(args.host, args.port)
-    port, token = sock.getsockname()[1], choose_token(args)
+    port = sock.getsockname()[1]
     server = start_server(args.host, AccessRules(token, port), sock, f"vgmpi: {args.out.name}")
     camera_path = path or args.out / render_config.SETTINGS_NAME
     followed = FollowedRun(args.out, args.particles, chosen.look)

@@ -2,6 +2,9 @@
 
 import http.client
 import json
+import signal
+import socket
+import struct
 import sys
 import tomllib
 from urllib.parse import urlsplit
@@ -161,6 +164,31 @@ def test_the_page_needs_its_token(photo, tmp_path):
         status, _, text = request(editor.address, "/save", b"", cookie, Content_Length="-5")
         assert status == 400 and b"a request has 0 to" in text
     assert not (tmp_path / "out").exists()
+
+
+def test_requests_that_are_none_end_no_page_and_print_no_traceback(photo, tmp_path):
+    """They come before any token is asked for."""
+    with EditorProcess(photo, "-o", tmp_path / "out") as editor:
+        port = urlsplit(editor.address).port
+        for request_bytes in (
+            b"GET / HTTP/1.1\r\nHost: [\r\n\r\n",
+            b"GET //[ HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",
+            b"GET /?token=%ff&%zz HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",
+            b"GET /?token=\xed\xa0\x80 HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",
+            b"GET /?" + b"a=1&" * 2000 + b" HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",
+            b"POST /save HTTP/1.1\r\nHost: a\r\nHost: b\r\n\r\n",
+        ):
+            with socket.create_connection(("127.0.0.1", port)) as link:
+                link.sendall(request_bytes)
+                assert link.recv(100).split()[1] in (b"400", b"403"), request_bytes[:30]
+        gone = socket.create_connection(("127.0.0.1", port))
+        gone.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        gone.sendall(b"GET / HTTP/1.1\r\n")
+        gone.close()  # with a reset
+        assert request(editor.address, "/")[0] == 403
+        editor.process.send_signal(signal.SIGINT)
+        code, _, err = editor.wait()
+    assert (code, err) == (0, "")
 
 
 BOX = (60, 150, 220, 330)

@@ -6,6 +6,7 @@ import re
 import signal
 import socket
 import sys
+from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
@@ -36,10 +37,11 @@ def page(out):
 
 
 @pytest.fixture(scope="module")
-def guarded(out):
-    with LivePageProcess(
-        out, "--port", 0, "--host", "0.0.0.0", "--token", "secret-word"
-    ) as process:
+def guarded(out, tmp_path_factory):
+    word = tmp_path_factory.mktemp("token") / "token.txt"
+    word.write_text("secret-word\n")
+    word.chmod(0o600)
+    with LivePageProcess(out, "--port", 0, "--host", "0.0.0.0", "--token-file", word) as process:
         yield process
 
 
@@ -81,7 +83,9 @@ def test_pages_of_other_origins_are_refused(page, origin):
     assert ask(page, headers={"Origin": origin})[0] == 403
 
 
-@pytest.mark.parametrize("host", ["example.org", "example.org:80", "127.0.0.1.example.org", ""])
+@pytest.mark.parametrize(
+    "host", ["example.org", "example.org:80", "127.0.0.1.example.org", "", "["]
+)
 def test_a_name_that_another_site_gives_to_this_machine_is_refused(page, host):
     assert ask(page, headers={"Host": host})[0] == 403
     with pytest.raises(InvalidStatus):
@@ -122,6 +126,23 @@ def test_a_host_that_is_not_local_has_a_random_token(out):
     assert len(tokens) == 3 and all(len(token) > 20 for token in tokens)
     assert live.choose_token(live.parser().parse_args([str(out)])) is None
     assert live.choose_token(live.parser().parse_args([str(out), "--token"])) is not None
+
+
+def test_the_word_of_a_token_is_on_no_command_line(guarded):
+    """Every user of a machine can read the command lines of its processes."""
+    words = Path(f"/proc/{guarded.process.pid}/cmdline").read_bytes()
+    assert b"--token-file" in words and b"secret-word" not in words
+    with pytest.raises(SystemExit):
+        live.parser().parse_args(["out", "--token=secret-word"])
+
+
+def test_a_file_that_others_may_read_is_no_token(out, tmp_path, capfd):
+    word = tmp_path / "token.txt"
+    word.write_text("secret-word\n")
+    word.chmod(0o644)
+    assert live.main([str(out), "--port", "0", "--token-file", str(word)]) == 2
+    message = capfd.readouterr().err.strip()
+    assert "chmod 600" in message and "\n" not in message
 
 
 def test_ten_viewers_get_the_frame(page, out):
@@ -172,14 +193,19 @@ def test_a_page_without_viewers_ends_when_it_should(out):
         (["{out}", "--particles", "0"], "--particles"),
         (["{out}", "--particles", "300001"], "300000"),
         (["{out}", "--linger", "nan"], "--linger"),
-        (["{out}", "--token", "short"], "--token"),
-        (["{out}", "--token", "a b; c=12345"], "--token"),
+        (["{out}", "--token-file", "{none}"], "--token-file"),
+        (["{out}", "--token-file", "{short}"], "--token-file"),
+        (["{out}", "--token-file", "{words}"], "--token-file"),
         (["{out}", "--host", "no.such.host.invalid"], "no.such.host.invalid"),
         (["{out}", "{none}.toml"], "none.toml"),
     ],
 )
 def test_mistakes_end_with_code_2_and_one_line(out, tmp_path, words, says, capfd):
     names = {"none": tmp_path / "none", "out": out}
+    for name, text in (("short", "short"), ("words", "a b; c=12345")):
+        names[name] = tmp_path / name
+        names[name].write_text(text)
+        names[name].chmod(0o600)
     assert live.main([word.format(**names) for word in words]) == 2
     message = capfd.readouterr().err.strip()
     assert says in message and "\n" not in message

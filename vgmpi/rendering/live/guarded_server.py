@@ -1,9 +1,9 @@
-"""viser's server behind checks of every request: its address, its origin, and a token.
+"""viser's server behind checks of every request: its address, its origin, a token, its messages.
 
 viser has no options for them. `start_server` therefore replaces the function that opens viser's
 port while the server starts: the port is the one that is asked for and no other, and each request,
-also that of a web socket, passes `AccessRules` first. If viser opened a port in another way, the
-server is stopped.
+also that of a web socket, passes `AccessRules` first, and each message a `MessageFilter`. If viser
+opened a port in another way, the server is stopped.
 """
 
 import contextlib
@@ -18,6 +18,8 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from vgmpi.io.run_reader import RunError
+
+from .viewer_messages import MAX_MESSAGE, MessageFilter
 
 LOCAL_NAMES = ("localhost", "127.0.0.1", "::1")  # names of this machine in an address
 SCHEMES = ("http", "https")  # https: behind a proxy that encrypts
@@ -44,7 +46,10 @@ class AccessRules(NamedTuple):
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
         if len(hosts) != 1 or len(origins) > 1:
             return "a request has one Host and at most one Origin"
-        name = urllib.parse.urlsplit(f"//{hosts[0]}").hostname or ""
+        try:
+            name = urllib.parse.urlsplit(f"//{hosts[0]}").hostname or ""
+        except ValueError:  # a bracket without its other one
+            return "the Host of a request is a name or an address"
         if self.token is None and name not in LOCAL_NAMES:
             return f"without a token the page answers to {', '.join(LOCAL_NAMES)} only"
         if origins and origins[0].lower() not in (f"{s}://{hosts[0].lower()}" for s in SCHEMES):
@@ -53,8 +58,11 @@ class AccessRules(NamedTuple):
 
     def token_of_path(self, path: str) -> str | None:
         """Return the token in the query of an address, None without one."""
-        query = urllib.parse.urlsplit(path).query
-        return urllib.parse.parse_qs(query).get("token", [None])[0]
+        try:
+            query = urllib.parse.urlsplit(path).query
+            return urllib.parse.parse_qs(query).get("token", [None])[0]
+        except ValueError:  # no address, or of too many fields
+            return None
 
     def has_cookie(self, headers: Any) -> bool:
         """Return whether a request has the cookie with the token."""
@@ -66,7 +74,8 @@ class AccessRules(NamedTuple):
 
     def is_token(self, word: str) -> bool:
         """Return whether a word is the token; the time it takes tells nothing about it."""
-        return self.token is not None and hmac.compare_digest(word.encode(), self.token.encode())
+        sent = word.encode(errors="replace")
+        return self.token is not None and hmac.compare_digest(sent, self.token.encode())
 
 
 def start_server(host: str, rules: AccessRules, sock: socket.socket, title: str) -> Any:
@@ -84,19 +93,10 @@ def start_server(host: str, rules: AccessRules, sock: socket.socket, title: str)
     try:
         import viser
         import websockets.asyncio.server as websocket_server
-        from websockets.datastructures import Headers
-        from websockets.http11 import Response
     except ImportError:
         raise RunError(MISSING_VISER) from None
     logging.getLogger("websockets").setLevel(logging.CRITICAL)
-    original, opened = websocket_server.serve, []
-
-    def answer(status: http.HTTPStatus, text: str, **headers: str) -> Response:
-        """Return a short answer."""
-        body = f"{text}\n".encode()
-        fields = {"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))}
-        fields |= {name.replace("_", "-"): value for name, value in headers.items()}
-        return Response(status, status.phrase, Headers(**fields), body)
+    original, opened, messages = websocket_server.serve, [], MessageFilter()
 
     def serve(handler, *_address, process_request, **options):
         """Open the socket in the place of viser's address, and check requests."""
@@ -104,17 +104,19 @@ def start_server(host: str, rules: AccessRules, sock: socket.socket, title: str)
         def check_request(connection, request):
             """Return the answer to a request; None lets a web socket open."""
             if reason := rules.refusal(request.headers):
-                return answer(http.HTTPStatus.FORBIDDEN, reason)
+                return _answer(http.HTTPStatus.FORBIDDEN, reason)
             if rules.token is not None and not rules.has_cookie(request.headers):
                 word = rules.token_of_path(request.path)
                 if word is None or not rules.is_token(word):
                     reason = "wrong or missing token: open the address that vgmpi live has printed"
-                    return answer(http.HTTPStatus.FORBIDDEN, reason)
+                    return _answer(http.HTTPStatus.FORBIDDEN, reason)
                 cookie = f"{rules.cookie}={word}; HttpOnly; SameSite=Strict; Path=/"
-                return answer(http.HTTPStatus.SEE_OTHER, "", Location="/", Set_Cookie=cookie)
+                return _answer(http.HTTPStatus.SEE_OTHER, "", Location="/", Set_Cookie=cookie)
             return process_request(connection, request)
 
         opened.append(True)
+        options["max_size"] = MAX_MESSAGE
+        handler = messages.before(handler)
         return original(handler, sock=sock, process_request=check_request, **options)
 
     websocket_server.serve = serve  # type: ignore[assignment,misc]
@@ -126,9 +128,21 @@ def start_server(host: str, rules: AccessRules, sock: socket.socket, title: str)
     if not opened:
         stop_server(server)
         raise RunError(f"viser {viser.__version__} opens its port unguarded: install viser 1.1")
+    messages.watch_controls(server.gui)
     # viser can publish a page through a server of its makers; no browser may ask for that
     server.request_share_url = lambda *_, **__: None  # type: ignore[method-assign,assignment]
     return server
+
+
+def _answer(status: http.HTTPStatus, text: str, **headers: str) -> Any:
+    """Return a short answer of the package websockets."""
+    from websockets.datastructures import Headers
+    from websockets.http11 import Response
+
+    body = f"{text}\n".encode()
+    fields = {"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))}
+    fields |= {name.replace("_", "-"): value for name, value in headers.items()}
+    return Response(status, status.phrase, Headers(**fields), body)
 
 
 def stop_server(server: Any) -> None:

@@ -1,9 +1,11 @@
 """The live page: one loop that reads the run's files and answers to the viewers' controls."""
 
 import contextlib
+import functools
 import logging
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -74,6 +76,7 @@ class LivePage:
         self._requested_views: list[tuple[str, View]] = []
         self._next_status = self._next_plot = self._next_play = self._next_try = 0.0
         self._plot_state: tuple | None = None
+        self._logged = ""  # the last fault in the log
         self._fault = ""  # why the wanted frame or curve is not shown
         self._last_watched = time.monotonic()
         self._connect_controls()
@@ -83,6 +86,7 @@ class LivePage:
         panel = self.panel
 
         @panel.frame.on_update
+        @self._survive_faults
         def _(event: Any) -> None:
             if event.client is not None:  # a viewer moved it, not the page
                 panel.following.value = False
@@ -90,12 +94,14 @@ class LivePage:
                 self._wake.set()
 
         @panel.following.on_update
+        @self._survive_faults
         def _(event: Any) -> None:
             if event.client is not None and panel.following.value:
                 panel.playing.value = False
             self._wake.set()
 
         @panel.playing.on_update
+        @self._survive_faults
         def _(event: Any) -> None:
             if event.client is not None and panel.playing.value:
                 panel.following.value = False
@@ -103,10 +109,31 @@ class LivePage:
 
         for control in (panel.color, panel.plot):
             control.on_update(lambda _: self._wake.set())
-        panel.stop.on_click(lambda _: self._stop_run())
-        panel.save.on_click(lambda event: self._request_view("save", event))
-        panel.draw.on_click(lambda event: self._request_view("draw", event))
-        self.server.on_client_connect(self._welcome)
+        guard = self._survive_faults
+        panel.stop.on_click(guard(lambda _: self._stop_run()))
+        panel.save.on_click(guard(lambda event: self._request_view("save", event)))
+        panel.draw.on_click(guard(lambda event: self._request_view("draw", event)))
+        self.server.on_client_connect(guard(self._welcome))
+
+    def _survive_faults(self, action: Callable[..., None]) -> Callable[..., None]:
+        """Return an action that logs a fault in one line: it ends the page for nobody."""
+
+        @functools.wraps(action)
+        def guarded(*arguments: Any) -> None:
+            """Act; log a fault."""
+            try:
+                action(*arguments)
+            except Exception as error:
+                self._log_fault(error)
+
+        return guarded
+
+    def _log_fault(self, error: Exception) -> None:
+        """Log a fault that nobody foresaw in one line, once while it lasts."""
+        line = f"{type(error).__name__}: {(str(error).splitlines() or [''])[0]}"
+        if line != self._logged:
+            self._logged = line
+            log.warning("the live page goes on after a fault: %s", line)
 
     def _stop_run(self) -> None:
         """Ask the run to stop once a viewer has confirmed it; say so where no run writes."""
@@ -119,7 +146,7 @@ class LivePage:
         if find_writer(folder) is None:
             request()
         else:
-            panel.confirm_stop(request)
+            panel.confirm_stop(self._survive_faults(request))
 
     def _welcome(self, client: Any) -> None:
         """Show a new viewer the newest state."""
@@ -141,7 +168,11 @@ class LivePage:
         """Follow the run until `end` is called or the page has lingered long enough."""
         try:
             while not self._ends.is_set() and not self._is_deserted():
-                self._update()
+                try:
+                    self._update()
+                except Exception as error:  # the page stays for all viewers
+                    self._log_fault(error)
+                    self._next_try = time.monotonic() + RETRY_SECONDS
                 self._wake.wait(self._pause())
                 self._wake.clear()
         finally:

@@ -3,6 +3,7 @@
 import base64
 import json
 import logging
+import sys
 import threading
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -55,6 +56,12 @@ class EditServer(ThreadingHTTPServer):
         """Return the address for a browser."""
         return f"http://{HOST}:{self.rules.port}/?token={self.rules.token}"
 
+    def handle_error(self, *_: Any) -> None:
+        """Log a fault of one request in one line: it ends the page for nobody."""
+        error = sys.exception()
+        if not isinstance(error, OSError):  # a browser that has gone says nothing to anybody
+            log.warning("the page goes on after a fault: %s", type(error).__name__)
+
     def end(self) -> None:
         """Let serve_forever() return."""
         threading.Thread(target=self.shutdown, daemon=True).start()
@@ -85,7 +92,7 @@ class PageHandler(BaseHTTPRequestHandler):
         """Answer to a request for the page or the photograph."""
         if not self._is_allowed():
             return
-        path = urlsplit(self.path).path
+        path = self._path()
         if path == "/":
             self._send(HTTPStatus.OK, "text/html; charset=utf-8", PAGE.read_bytes())
         elif path == "/photo.png":
@@ -101,7 +108,7 @@ class PageHandler(BaseHTTPRequestHandler):
         """Answer to a request for a mask, or to save."""
         if not self._is_allowed():
             return
-        path = urlsplit(self.path).path
+        path = self._path()
         action = {"/mask": self._mask, "/save": self._save, "/end": self._end}.get(path)
         if action is None:
             self._send(HTTPStatus.NOT_FOUND, "text/plain", b"not found\n")
@@ -126,6 +133,13 @@ class PageHandler(BaseHTTPRequestHandler):
             self._send_error(str(error))
         except OSError as error:
             self._send_error(f"{error.filename}: {error.strerror or error}")
+
+    def _path(self) -> str:
+        """Return the path of the request, "" for an address that is none."""
+        try:
+            return urlsplit(self.path).path
+        except ValueError:
+            return ""
 
     def _mask(self, body: bytes) -> dict[str, Any]:
         """Return the mask of an object as a picture, and what is doubtful about it."""
