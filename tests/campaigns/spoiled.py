@@ -201,7 +201,9 @@ def _nested(known: Spoiler, text: str, random: random.Random) -> str:
 def _many(known: Spoiler, text: str, random: random.Random) -> str:
     """A list, a text, a key or a number of great length, or many tables."""
     n = random.choice((10, 300, 5000))
-    match random.randrange(5):
+    match random.randrange(6):
+        case 5:  # a table of many dotted parts
+            return f"{text}\n{'a.' * n}a = 1\n"
         case 0:
             long = "[" + "1, " * n + "]"
         case 1:

@@ -7,6 +7,7 @@ import re
 import struct
 import subprocess
 import sys
+import tracemalloc
 import zlib
 from pathlib import Path
 
@@ -15,8 +16,17 @@ import pytest
 
 from tests.support import damaged_meshes
 from tests.support.launch import PATIENCE
-from vgmpi.preprocess.meshes import bounded_reader, surface_mesh
+from vgmpi.preprocess.meshes import (
+    bounded_reader,
+    mesh_topology,
+    point_in_mesh,
+    surface_mesh,
+    texture,
+    wavefront,
+)
 from vgmpi.preprocess.meshes.surface_mesh import MeshError
+from vgmpi.preprocess.meshes.triangle_mesh import Mesh
+from vgmpi.runtime import memory_budget
 
 ROOT = Path(__file__).resolve().parents[2]
 FILES = 200  # damaged files of each format; VTK reads the last two by the same code
@@ -159,3 +169,50 @@ def test_a_reader_that_never_ends_is_stopped(tmp_path, monkeypatch):
     (tmp_path / "a.vtp").write_bytes(b"any")
     with pytest.raises(MeshError, match="takes more than 0 s|takes more than 1 s"):
         surface_mesh.read(tmp_path / "a.vtp")
+
+
+def test_a_face_of_many_corners_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(wavefront, "MAX_CORNERS", 5)
+    path, points = tmp_path / "a.obj", "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
+    path.write_text(f"{points}f 1 2 3 4 1\n")
+    assert len(surface_mesh.read(path).triangles) == 3
+    path.write_text(f"{points}f 1 2 3 4 1 \\\n2\n")
+    with pytest.raises(MeshError, match="has a face of 6 corners: allowed 5"):
+        surface_mesh.read(path)
+
+
+def test_material_files_are_few_and_read_once(tmp_path, monkeypatch):
+    monkeypatch.setattr(texture, "MAX_LIBRARIES", 2)
+    (tmp_path / "a.mtl").write_text("newmtl red\nKd 1 0 0\n")
+    path = tmp_path / "a.obj"
+    opened = []
+    monkeypatch.setattr(
+        texture, "read_regular_file", lambda file, _: opened.append(file) or file.read_bytes()
+    )
+    assert texture.read_materials(path, ["a.mtl"] * 9)["red"].color == (1, 0, 0)
+    assert len(opened) == 1
+    with pytest.raises(texture.TextureError, match="names 3 material files: allowed 2"):
+        texture.read_materials(path, ["a.mtl", "./a.mtl", "././a.mtl"])
+
+
+def test_triangles_at_one_place_take_no_more_memory_than_others():
+    """Every line through the points meets all of them: 1.3 million crossings of 800 triangles."""
+    x = np.array([[0, 0, 0], [1.0, 0, 0], [0, 1.0, 0.0]]) * 2
+    mesh = Mesh(x, np.tile([[0, 1, 2]], (800, 1)))
+    line = (np.arange(40) + 0.5) / 40
+    points = np.stack(np.meshgrid(line, line, [0.5]), axis=-1).reshape(-1, 3)
+    tracemalloc.start()
+    point_in_mesh.inside(mesh, points, 1 / 40)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1.5e8
+
+
+def test_points_that_coincide_are_counted_before_they_are_paired(monkeypatch):
+    """Of n points at one place, n squared pairs would be listed."""
+    monkeypatch.setattr(memory_budget, "available_memory", lambda **_: 100_000)
+    near = np.random.default_rng(0).random((300, 3)) * 1e-8
+    x = np.concatenate([near, [[1.0, 0, 0], [0, 1.0, 0]]])
+    mesh = Mesh(x, np.array([[k, 300, 301] for k in range(300)]))
+    with pytest.raises(memory_budget.InsufficientMemoryError, match="points that coincide"):
+        mesh_topology.analyze_mesh(mesh)

@@ -6,8 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from vgmpi.runtime.config import text_bounds, toml_source
 from vgmpi.runtime.config.renames import Rename, RenameTable
 from vgmpi.runtime.config.schema import SceneError, TomlError
+from vgmpi.runtime.config.text_bounds import MAX_NESTING
 from vgmpi.runtime.config.toml_positions import locate_keys
 from vgmpi.runtime.config.toml_source import TomlSource
 
@@ -153,7 +155,7 @@ def test_set_that_cannot_be_applied(scene, item, says):
         (b"share = 10%", '; a value with a unit needs quotes: "10%"'),
         (b"a = 1\nkind = fluid\n", ":2: not valid TOML: Invalid value (column 8); a word needs"),
         (b"a = '\xff'", ": not UTF-8 text (byte 5)"),
-        (b"a = " + b"[" * 5000, ": not valid TOML: "),
+        (b"a = " + b"[" * 5000, ":1: cannot be read: nested more than 32 levels deep"),
     ],
 )
 def test_files_that_are_no_toml(tmp_path, content, says):
@@ -268,9 +270,18 @@ LONG = "9" * 5000
         (f"a = 1\nb = {LONG}", ":2: not valid TOML: an integer must fit in 64 bits"),
         (f"a = 0x{'f' * 5000}", ":1: a: must fit in 64 bits; got one of 20000 bits"),
         (f"\na = [1, -{2**63 + 1}]", ":2: a.1: must fit in 64 bits; got one of 64 bits"),
-        ("a = " + "[" * 101 + "]" * 101, ":1: a.0.0: must not be nested more than 100 deep"),
-        ("a" + ".a" * 3000 + " = 1", ":1: a.a.a: must not be nested more than 100 deep"),
-        ("[[object]]\na" + ".a" * 3000 + " = 1", ":2: object.0.a: must not be nested more"),
+        ("\na = " + "[" * 101 + "]" * 101, ":2: cannot be read: nested more than 32 levels deep"),
+        ("a" + ".a" * 300 + " = 1", ":1: cannot be read: nested more than 32 levels deep"),
+        (
+            "[[object]]\na" + " . 'a'" * 300 + " = 1",
+            ":2: cannot be read: nested more than 32 levels deep",
+        ),
+        ("[a" + ".a" * 33 + "]\n", ":1: cannot be read: nested more than 32 levels deep"),
+        ("[a" + ".a" * 28 + "]\na.a.a.a.a = 1", ":1: a.a.a: is nested more than 32 levels"),
+        (
+            "a = " + "{ a = " * 33 + "1" + "}" * 33,
+            ":1: cannot be read: nested more than 32 levels deep",
+        ),
     ],
 )
 def test_numbers_and_nesting_beyond_all_measure(tmp_path, text, says):
@@ -282,12 +293,51 @@ def test_numbers_and_nesting_beyond_all_measure(tmp_path, text, says):
     assert line.startswith(f"{path}{says}") and len(line) < 300
 
 
+@pytest.mark.parametrize(
+    "text, line",
+    [
+        ("a = 1\nb = [" + "1," * 90 + "]", 2),
+        ("a = [\n" + "[],\n" * 60 + "]", 25),
+        ("".join(f"a{k} = 1\n" for k in range(60)), 37),
+        ("# a\n[[a]]\n[[a]]\n" * 60, 18),
+        ("a = {" + ", ".join(f"b.c{k} = 1" for k in range(60)) + "}", 1),
+    ],
+)
+def test_what_a_file_holds_is_bounded(tmp_path, monkeypatch, text, line):
+    """Before a parser sees it: parsed, some forms take a thousand times their letters."""
+    monkeypatch.setattr(text_bounds, "MAX_ITEMS", 75)
+    monkeypatch.setattr(toml_source.tomllib, "loads", None)
+    path = tmp_path / "a.toml"
+    path.write_text(text)
+    with pytest.raises(SceneError, match="has more than 75 lines, keys and items") as caught:
+        TomlSource(path)
+    assert abs(int(str(caught.value).split(":")[1]) - line) <= 14
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        'a = "' + "[,=." * 90 + '\\"[["',
+        "a = '" + "[,=." * 90 + "'",
+        'a = """' + "[,\n=." * 90 + '\\"""[["""""',
+        "a = '''" + "[,\n=.' " * 90 + "'''''",
+        "# " + "[,=.\"'" * 90 + "\na = 1 # " + "[" * 90,
+        "a = 'b'" + "\n" * 400 + "b = 1979-05-27T07:32:00.5\nc = 1.5e3",
+    ],
+)
+def test_strings_and_comments_hold_what_they_like(tmp_path, monkeypatch, text):
+    monkeypatch.setattr(text_bounds, "MAX_ITEMS", 75)
+    path = tmp_path / "a.toml"
+    path.write_text(text)
+    assert "a" in TomlSource(path).data
+
+
 def test_no_depth_of_nesting_is_too_much_to_be_told(tmp_path):
     """Also where the text can be parsed and the lines of its keys are not found any more."""
     path = tmp_path / "a.toml"
-    for depth in range(100, 700):
+    for depth in range(MAX_NESTING - 1, 200):
         path.write_text("a = " + "[" * depth + "]" * depth)
-        if depth == 100:
+        if depth <= MAX_NESTING:
             assert TomlSource(path).data
             continue
         with pytest.raises(SceneError, match="nested"):
@@ -301,7 +351,8 @@ def test_numbers_beyond_all_measure_on_the_command_line(scene):
     for item, says in (
         (f"new=0x{'f' * 5000}", "new: must fit in 64 bits; got one of 20000 bits"),
         (f"object.{LONG}.x=1", "object has no item"),
-        ("new=" + "[" * 200 + "]" * 200, "new.0.0: must not be nested more than 100 deep"),
+        ("new=" + "[" * 200 + "]" * 200, "new: nested more than 32 levels deep"),
+        ("new" + ".a" * 200 + "=1", "nested more than 32 levels deep"),
     ):
         with pytest.raises(SceneError) as caught:
             TomlSource(scene, [item])

@@ -21,6 +21,7 @@ from .camera import Camera
 
 log = logging.getLogger("vgmpi")
 
+MAX_JSON_BYTES = 1 << 25  # [bytes] 40,000 frames; parsed, it takes up to thirty times as much
 MAX_BYTES = 1 << 28  # [bytes] a model of 100,000 photos without its points has a tenth of it
 SIDES = (16, 8192)  # [pixels] range of width and height, as in render.toml
 BINARY_MODELS = {0: "SIMPLE_PINHOLE", 1: "PINHOLE"}
@@ -41,7 +42,7 @@ def transforms(path: Path) -> NamedCameras:
     Raises:
         CameraFileError: If the file is not readable or a frame is not valid.
     """
-    raw = _read(path)
+    raw = _read(path, MAX_JSON_BYTES)
     try:
         data = json.loads(raw)
     except (ValueError, RecursionError) as error:
@@ -266,10 +267,10 @@ def _number(fields: dict[str, Any], name: str, low: float, high: float) -> float
     return value
 
 
-def _read(path: Path) -> bytes:
+def _read(path: Path, max_bytes: int = MAX_BYTES) -> bytes:
     """Return the content of a file."""
     try:
-        return read_regular_file(path, MAX_BYTES)
+        return read_regular_file(path, max_bytes)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise CameraFileError([f"{path}: {reason}"]) from None

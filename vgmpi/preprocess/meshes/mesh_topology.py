@@ -10,6 +10,8 @@ import numpy as np
 import scipy
 from scipy.sparse.csgraph import connected_components
 
+from vgmpi.runtime import memory_budget
+
 from .triangle_mesh import Mesh
 
 _SEAM = 1e-6  # [-] of the extent: gap of two boundary points that are one
@@ -17,6 +19,7 @@ _FLAT = 1e-6  # [-] volume relative to area**1.5 below which a shell has no insi
 # [-] area of the holes relative to a shell's own up to which it has an inside; a bowl or a
 # terrain has none
 _OPENNESS = 0.1
+_BYTES_PER_PAIR = 40  # [bytes] of two points that coincide
 _MAX_PROBES, _MAX_ANGLES = 1000, 1 << 25  # points, and points times triangles, of an inclusion
 
 
@@ -174,6 +177,10 @@ def _joined_points(mesh: Mesh) -> np.ndarray:
     point_at[label[used]] = used
     extent = float(np.ptp(x, axis=0).max())
     tree = scipy.spatial.cKDTree(mesh.points[point_at[rim]] / extent)
+    count = int(tree.count_neighbors(tree, _SEAM)) // 2
+    memory_budget.require_memory(
+        _BYTES_PER_PAIR * count, f"{count:,} pairs of points that coincide take at least"
+    )
     pairs = tree.query_pairs(_SEAM, output_type="ndarray")
     links = scipy.sparse.coo_array((np.ones(len(pairs)), pairs.T), (len(rim), len(rim)))
     part = connected_components(links, directed=False)[1]

@@ -5,7 +5,7 @@ import numpy as np
 from .triangle_mesh import Mesh
 
 _MAX_CROSSINGS = 64  # crossings on one line up to which they are tested one by one
-_BATCH = 1 << 22  # crossings of triangles with lines per batch
+_BATCH = 1 << 18  # crossings of triangles with lines per batch, of some 250 bytes each
 
 
 def inside(mesh: Mesh, points: np.ndarray, spacing: float) -> np.ndarray:

@@ -12,6 +12,9 @@ class TextureError(ValueError):
     """Error for a texture that cannot be read; one line."""
 
 
+MAX_LIBRARIES = 100  # material files that a mesh names
+
+
 @dataclass(frozen=True)
 class Textures:
     """Images on a mesh of m triangles.
@@ -68,6 +71,9 @@ def read_materials(path: Path, libraries: list[str]) -> dict[str, Material]:
     """
     materials: dict[str, Material] = {}
     name = ""
+    libraries = list(dict.fromkeys(libraries))
+    if len(libraries) > MAX_LIBRARIES:
+        raise TextureError(f"names {len(libraries):,} material files: allowed {MAX_LIBRARIES}")
     for library in libraries:
         try:
             text = read_regular_file(file_in_mesh_folder(path, library), MAX_TEXT_BYTES).decode(

@@ -15,6 +15,8 @@ from .triangle_mesh import Mesh, unit_colors
 
 log = logging.getLogger("vgmpi")
 
+MAX_CORNERS = 10_000  # of one face: each takes some hundred bytes
+
 
 def read_obj(path: Path) -> Mesh:
     """Return points, their colors, faces and textures of a Wavefront file.
@@ -33,6 +35,8 @@ def read_obj(path: Path) -> Mesh:
             case ["vt"]:
                 uv.append([float(word) for word in (*words[1:3], "0")[:2]])
             case ["f"]:
+                if (count := len(words) - 1) > MAX_CORNERS:
+                    raise ValueError(f"has a face of {count:,} corners: allowed {MAX_CORNERS:,}")
                 face = [_corner(word, len(points), len(uv)) for word in words[1:]]
                 for k in range(1, len(face) - 1):
                     corners += (face[0], face[k], face[k + 1])

@@ -9,7 +9,8 @@ import numpy as np
 
 from .renames import NO_RENAMES, RenameTable
 from .schema import SceneError, TomlError
-from .toml_source import MAX_NESTING, TomlSource, truncate
+from .text_bounds import MAX_NESTING, TOO_DEEP
+from .toml_source import TomlSource, truncate
 
 
 class TableSource(TomlSource):
@@ -52,7 +53,7 @@ class TableSource(TomlSource):
         """Return a value as tomllib would; note what is wrong, and number the key at `path`."""
         self._line[path] = len(self._line)
         if len(path) > MAX_NESTING:
-            wrong.append((path[:3], f"must not be nested more than {MAX_NESTING} deep"))
+            wrong.append((path[:3], f"is {TOO_DEEP}"))
             return None
         if isinstance(value, np.ndarray | np.generic):
             value = value.tolist()

@@ -11,6 +11,7 @@ from vgmpi.runtime.safe_open import MAX_TEXT_BYTES, read_regular_file
 
 from .renames import NO_RENAMES, RenameTable, Replacement
 from .schema import SceneError, TomlError, unit
+from .text_bounds import MAX_NESTING, TOO_DEEP, find_excess
 from .toml_positions import BARE, BASIC, LITERAL, locate_keys
 
 log = logging.getLogger("vgmpi")
@@ -19,7 +20,6 @@ _LONG_NUMBER = re.compile(r"[0-9_]{4300,}")  # Python refuses longer integers
 # a value after "=" or in a list that is no number, without quotes and brackets
 _BARE_VALUE = re.compile(r"[=,\[]\s*([^\s=,\[\]{}\"'][^=,\[\]{}\"']{0,100})")
 _NUMBER = re.compile(r"[-+]?[0-9][0-9_.]*(?:[eE][-+]?[0-9]+)?\s*([A-Za-z%][^\n]*?)\s*")
-MAX_NESTING = 100  # [levels] deepest nesting of tables and lists
 
 
 class TomlSource:
@@ -73,8 +73,9 @@ class TomlSource:
             self.text = (
                 read_regular_file(self.path, MAX_TEXT_BYTES).decode() if text is None else text
             )
-            self.data = tomllib.loads(self.text)
-            self._line = locate_keys(self.text)
+            excess = find_excess(self.text)
+            self.data = {} if excess else tomllib.loads(self.text)
+            self._line = {} if excess else locate_keys(self.text)
         except OSError as caught:
             raise error(
                 [escape_control_characters(f"{path}: {caught.strerror or caught}")]
@@ -91,6 +92,9 @@ class TomlSource:
             raise error(
                 [_syntax(escape_control_characters(path), self.text, str(caught))]
             ) from None
+        if excess:
+            place = escape_control_characters(f"{path}:{excess.line}")
+            raise error([f"{place}: cannot be read: {excess.message}"])
 
     def place(self, path: tuple) -> tuple[int, str]:
         """Return (line for sorting, "file:line" or "--set key=value") of a key or of its holder."""
@@ -177,7 +181,7 @@ class TomlSource:
             if not isinstance(node, dict | list):
                 continue
             if len(path) > MAX_NESTING:
-                wrong.append((path[:3], f"must not be nested more than {MAX_NESTING} deep"))
+                wrong.append((path[:3], f"is {TOO_DEEP}"))
                 continue
             items = node.items() if isinstance(node, dict) else enumerate(node)
             pending += [((*path, k), value) for k, value in items]
@@ -222,6 +226,10 @@ class TomlSource:
         parts = [part.strip().strip("\"'") for part in key.split(".")]
         if not sign or not all(parts):
             return f"{prefix}: expected key=value, for example domain.cell='1 cm'"
+        if len(parts) > MAX_NESTING:
+            return f"{prefix}: {TOO_DEEP}"
+        if excess := find_excess(text):
+            return f"{prefix}: {key.strip()}: {excess.message}"
         node: dict | list = self.data
         path: tuple = ()
         changes: list[Replacement] = []
