@@ -115,7 +115,7 @@ def test_none_and_endless_tables():
     assert message(table).endswith("a list or a table; got NoneType: leave the key out")
     table = copy.deepcopy(TABLE)
     table["domain"]["domain"] = table["domain"]
-    assert message(table) == "domain.domain.domain: must not be nested more than 100 deep"
+    assert message(table) == "domain.domain.domain: is nested more than 32 levels deep"
 
 
 def test_an_override_is_named():

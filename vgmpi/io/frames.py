@@ -53,6 +53,7 @@ class Frames:
         self.folder, self.ranks, self.total_ids = Path(folder), ranks, total_ids
         self.index_dtype = "i4" if total_ids < 2**31 - 1 else "i8"
         self._written: dict[int, _Written] = {}
+        self._removed: list[str] = []  # files of this run that have gone
         error = None
         if ranks.rank == 0:
             try:
@@ -134,11 +135,33 @@ class Frames:
         error = None
         if self.ranks.rank == 0:
             try:
+                self._leave_out_removed()
                 self._write_series()
             except (OSError, RuntimeError) as caught:
                 error = caught
         hdf5_writer.raise_on_all_ranks(self.ranks, error, self.folder / file_layout.SERIES)
         return path
+
+    def check_written(self) -> None:
+        """Raise StoreError on all ranks if frames have gone that were written. Collective."""
+        error = None
+        if self.ranks.rank == 0:
+            self._leave_out_removed()
+            if names := self._removed:
+                listed = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
+                count = "a frame was" if len(names) == 1 else f"{len(names):,} frames were"
+                error = OSError(f"{count} removed during the run: {listed}")
+        folder = self.folder / file_layout.FRAMES
+        hdf5_writer.raise_on_all_ranks(self.ranks, error, folder, "find all of")
+
+    def _leave_out_removed(self):
+        """Leave frames whose files have gone out of the series, with a warning; on rank 0."""
+        folder = self.folder / file_layout.FRAMES
+        present = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
+        for number in [n for n, w in self._written.items() if w.file not in present]:
+            file = self._written.pop(number).file
+            self._removed.append(file)
+            log.warning("%s: removed during the run; it is left out of the series", folder / file)
 
     def _topology(self, f, count):
         """Write a vertex per particle and return the particles of all ranks.

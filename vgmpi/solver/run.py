@@ -174,6 +174,8 @@ class Runner:
             self._checkpoint()  # the run can be extended from it
         else:
             log.info("the run is at %g s: a later time.end extends it", simulation.time)
+        if self.options.folder is not None:
+            self.frames.check_written()
         self.code = DONE
 
     def ask_to_stop(self, frame: bool = False) -> None:
