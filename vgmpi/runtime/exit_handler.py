@@ -9,6 +9,8 @@ import sys
 from collections.abc import Callable
 from typing import Any, cast
 
+from .terminal_output import escaped_output
+
 BUG_REPORT_HINT = (
     "vgmpi: this is a fault of the program, not of what it was given: please report it with all"
     " that is printed here, the command and the scene (CONTRIBUTING.md)"
@@ -20,7 +22,8 @@ def exit_code_from_exceptions(main: Callable[..., int]) -> Callable[..., int]:
 
     1: a fault of the program, with its traceback and where to report it; memory exhausted; a full
     disk behind stdout. 130: interrupted. 141: the reader of stdout has gone (`| head`). With
-    several ranks `sys.excepthook` ends them all (parallel/communicator.py).
+    several ranks `sys.excepthook` ends them all (parallel/communicator.py). Control characters in
+    what the command writes are written as escapes.
     """
 
     @functools.wraps(main)
@@ -29,29 +32,35 @@ def exit_code_from_exceptions(main: Callable[..., int]) -> Callable[..., int]:
         with contextlib.suppress(AttributeError):  # stdout may be another object
             # the terminal may lack letters of a title
             cast(io.TextIOWrapper, sys.stdout).reconfigure(errors="backslashreplace")
-        try:
-            code = main(*arguments, **keywords)
-            sys.stdout.flush()
-            return code
-        except KeyboardInterrupt:
-            return 130
-        except BrokenPipeError:
-            _silence_stdout()
-            return 128 + 13  # the code of a program that SIGPIPE ends
-        except Exception as error:
-            if isinstance(error, OSError) and _stdout_is_full():
-                _silence_stdout()
-                sys.stderr.write(f"vgmpi: cannot write to stdout: {error.strerror}\n")
-                return 1
-            memory = isinstance(error, MemoryError)
-            message = (
-                f"vgmpi: out of memory: {error or 'no more is left'}" if memory else BUG_REPORT_HINT
-            )
-            sys.stderr.write(f"{message}\n")
-            sys.excepthook(type(error), error, error.__traceback__)
-            return 1
+        with escaped_output():
+            return _run(main, arguments, keywords)
 
     return command
+
+
+def _run(main: Callable[..., int], arguments: tuple, keywords: dict) -> int:
+    """Run a main function; return an exit code in any case."""
+    try:
+        code = main(*arguments, **keywords)
+        sys.stdout.flush()
+        return code
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:
+        _silence_stdout()
+        return 128 + 13  # the code of a program that SIGPIPE ends
+    except Exception as error:
+        if isinstance(error, OSError) and _stdout_is_full():
+            _silence_stdout()
+            sys.stderr.write(f"vgmpi: cannot write to stdout: {error.strerror}\n")
+            return 1
+        memory = isinstance(error, MemoryError)
+        message = (
+            f"vgmpi: out of memory: {error or 'no more is left'}" if memory else BUG_REPORT_HINT
+        )
+        sys.stderr.write(f"{message}\n")
+        sys.excepthook(type(error), error, error.__traceback__)
+        return 1
 
 
 def usage_error_code(error: Exception) -> int:
