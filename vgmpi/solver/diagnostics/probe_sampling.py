@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from vgmpi.io import file_layout
-from vgmpi.io.csv_log import CsvLog
+from vgmpi.io.csv_log import CsvLog, read_rows
 from vgmpi.materials.material import law_function
 from vgmpi.scene.probes import WALL_NAMES, Probe
 from vgmpi.scene.scene import Scene
@@ -30,9 +30,10 @@ def files(scene: Scene, folder: Path) -> dict[Path, list[file_layout.Dataset]]:
 
 
 class Probes:
-    """All probes of a run and their rows so far, on rank 0. Collective.
+    """All probes of a run and their rows, on rank 0. Collective.
 
-    `rows` holds, by the name of the probe, dicts of layout.PROBE_COLUMNS.
+    `rows` holds, by the name of the probe, dicts of layout.PROBE_COLUMNS: all of them without an
+    output folder, else the last one, as the others are in the files.
     """
 
     def __init__(
@@ -55,7 +56,8 @@ class Probes:
             return
         for probe, (path, columns) in zip(scene.probe, files(scene, folder).items(), strict=True):
             self.files[probe.name] = CsvLog(path, columns, simulation.ranks, last_step)
-            self.rows[probe.name] = list(self.files[probe.name].kept)
+            self.rows[probe.name] = self.files[probe.name].kept[-1:]
+            self.files[probe.name].kept = []
 
     def first(self) -> None:
         """Record the rows of the start."""
@@ -71,11 +73,24 @@ class Probes:
     def _sample(self, probe: Probe) -> None:
         """Measure one probe and append its row."""
         measured = MEASURE[probe.kind_among(self.rigid)](self, probe)
+        rows = self.rows[probe.name]
         if self.simulation.ranks.rank == 0:
             clock = {"time": self.simulation.time, "step": self.simulation.step}
-            self.rows[probe.name].append(clock | measured)
+            rows.append(clock | measured)
         if probe.name in self.files:
-            self.files[probe.name].append(self.rows[probe.name][-1:])
+            self.files[probe.name].append(rows[-1:])
+            del rows[:-1]
+
+    def all_rows(self) -> dict[str, list[dict]]:
+        """Return all rows by the name of the probe; without any on ranks other than 0.
+
+        Raises:
+            RunError: A file of the output folder is not as it was written.
+        """
+        if self.simulation.ranks.rank != 0:
+            return self.rows
+        read = {name: read_rows(log.path, log.columns) for name, log in self.files.items()}
+        return self.rows | read
 
     def pressure(self, probe: Probe) -> dict:
         """Measure the pressure [Pa] of fluids at a point; NaN without fluid."""

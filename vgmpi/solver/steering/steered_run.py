@@ -75,8 +75,11 @@ class Run:
 
     @property
     def probes(self) -> dict[str, list[dict]]:
-        """Rows of every probe so far, by the probe's name; empty on ranks other than 0."""
-        return self._inner.probes.rows
+        """Rows of every probe so far, by the probe's name; empty on ranks other than 0.
+
+        With an output folder they are read from its tables, each time anew.
+        """
+        return self._inner.probes.all_rows()
 
     def arrays(self, *names: str) -> dict[str, np.ndarray]:
         """Return arrays of all particles, in the order of their ids, on every rank.
