@@ -26,7 +26,11 @@ from vgmpi.rendering import image_io, render_config
 from vgmpi.rendering.appearance import Appearance
 from vgmpi.rendering.export_model import file_render_model
 from vgmpi.rendering.particle_surface import SMOOTHING_STEPS
-from vgmpi.runtime.exit_handler import exit_code_from_exceptions, usage_error_code
+from vgmpi.runtime.exit_handler import (
+    exit_code_from_exceptions,
+    report_file_error,
+    usage_error_code,
+)
 
 from . import export_moving, point_export, surface_export
 
@@ -172,8 +176,7 @@ def main(argv: list[str] | None = None) -> int:
         print(error, file=sys.stderr)
         return usage_error_code(error)
     except OSError as error:
-        print(f"{error.filename or folder}: {error.strerror or error}", file=sys.stderr)
-        return usage_error_code(error)
+        return report_file_error(error, folder)
     except KeyboardInterrupt:
         print("stopped: the files written so far are complete", file=sys.stderr)
         return 130

@@ -24,6 +24,7 @@ import numpy as np
 
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.runtime.atomic_write import replace_file, sync_folder
+from vgmpi.runtime.exit_handler import DENIED, FULL
 
 from . import checkpoint_manifest, file_layout
 from .sparse_memory_file import SparseMemoryFile
@@ -36,7 +37,13 @@ _warned = False  # the notice about gathering is logged once
 
 
 class StoreError(RuntimeError):
-    """A file could not be written; the text is one line that names it."""
+    """A file could not be written; the text is one line that names it.
+
+    Attributes:
+        is_denied: Whether the file system or its permissions allow no such file.
+    """
+
+    is_denied = False
 
 
 def uses_root_gather(ranks: SerialCommunicator) -> bool:
@@ -58,7 +65,10 @@ def raise_on_all_ranks(
         return
     text = b"" if error is None else (reason(error, path.parent) + "\n").encode()
     every = bytes(ranks.all_rows(np.frombuffer(text, np.uint8))).decode()
-    raise StoreError(f"cannot {verb} {path}: {every.splitlines()[0]}") from error
+    first = every.splitlines()[0]
+    failure = StoreError(f"cannot {verb} {path}: {first}")
+    failure.is_denied = first in map(os.strerror, DENIED)
+    raise failure from error
 
 
 def reason(error: BaseException, folder: Path | None = None) -> str:
@@ -66,7 +76,7 @@ def reason(error: BaseException, folder: Path | None = None) -> str:
     match = re.search(r"errno = (\d+)", str(error))
     number = getattr(error, "errno", None) or (int(match[1]) if match else None)
     full = folder is not None and not number and _free(folder) < 1 << 20  # MPI-IO drops errno
-    if number == errno.ENOSPC or full:
+    if number in FULL or full:
         return "no space left on the disk"
     if number:
         return os.strerror(number)

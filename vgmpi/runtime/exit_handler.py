@@ -16,14 +16,32 @@ BUG_REPORT_HINT = (
     " that is printed here, the command and the scene (CONTRIBUTING.md)"
 )
 
+FULL = (errno.ENOSPC, errno.EDQUOT)  # no room left on a disk, or for this user
+DENIED = (errno.EROFS, errno.EACCES, errno.EPERM)  # by the file system or its permissions
+
+
+def report_file_error(error: OSError, path: object = "") -> int:
+    """Print the file of an error and its reason in one line; return the exit code.
+
+    Args:
+        error: The error.
+        path: File that is named if the error names none.
+
+    Returns:
+        1 for a full disk, which a run meets when all that was asked for was right; else 2.
+    """
+    sys.stderr.write(f"vgmpi: {error.filename or path}: {error.strerror or error}\n")
+    return 1 if error.errno in FULL else 2
+
 
 def exit_code_from_exceptions(main: Callable[..., int]) -> Callable[..., int]:
     """Decorate the main function of a command: every way out of it becomes an exit code.
 
     1: a fault of the program, with its traceback and where to report it; memory exhausted; a full
-    disk behind stdout. 130: interrupted. 141: the reader of stdout has gone (`| head`). With
-    several ranks `sys.excepthook` ends them all (parallel/communicator.py). Control characters in
-    what the command writes are written as escapes.
+    disk, also behind stdout. 2: a file or folder that may not be written (`report_file_error`).
+    130: interrupted. 141: the reader of stdout has gone (`| head`). With several ranks
+    `sys.excepthook` ends them all (parallel/communicator.py). Control characters in what the
+    command writes are written as escapes.
     """
 
     @functools.wraps(main)
@@ -54,6 +72,8 @@ def _run(main: Callable[..., int], arguments: tuple, keywords: dict) -> int:
             _silence_stdout()
             sys.stderr.write(f"vgmpi: cannot write to stdout: {error.strerror}\n")
             return 1
+        if isinstance(error, OSError) and error.errno in (*FULL, *DENIED) and error.filename:
+            return report_file_error(error)
         memory = isinstance(error, MemoryError)
         message = (
             f"vgmpi: out of memory: {error or 'no more is left'}" if memory else BUG_REPORT_HINT

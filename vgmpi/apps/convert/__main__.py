@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 from vgmpi.runtime.atomic_write import replace_file
-from vgmpi.runtime.exit_handler import exit_code_from_exceptions, usage_error_code
+from vgmpi.runtime.exit_handler import exit_code_from_exceptions, report_file_error
 
 WRONG = 2
 
@@ -49,8 +49,7 @@ def main(argv: list[str] | None = None) -> int:
             print(line, file=sys.stderr)
         return WRONG
     except OSError as error:
-        print(f"{args.output}: {error.strerror or error}", file=sys.stderr)
-        return usage_error_code(error)
+        return report_file_error(error, args.output)
     for line in lines:
         print(line, file=sys.stderr)
     summary = f"{len(lines)} keys are not in it or in part" if lines else "all keys are in it"

@@ -25,6 +25,7 @@ from vgmpi.io.run_lock import RunFolderInUseError, file_lock
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.planning.cost.tradeoff_results import fingerprint
 from vgmpi.runtime.config.schema import SceneError
+from vgmpi.runtime.exit_handler import DENIED, FULL
 from vgmpi.scene.loader import load
 from vgmpi.scene.scene import Scene
 from vgmpi.solver.run import BLEW_UP, DONE
@@ -140,6 +141,9 @@ class RunPool:
                     self._make(setting, handle)
                 return True
         except OSError as error:
+            if error.errno in (*FULL, *DENIED):
+                error.filename = error.filename or str(folder)
+                raise  # the command prints it
             raise StudyError(f"{folder}: {error.strerror or error}") from None
 
     def _make(self, setting: Setting, handle: int) -> None:

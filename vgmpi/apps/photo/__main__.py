@@ -8,7 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from vgmpi.runtime.exit_handler import exit_code_from_exceptions, usage_error_code
+from vgmpi.runtime.exit_handler import exit_code_from_exceptions, report_file_error
 
 EXIT_USAGE = 2
 
@@ -92,8 +92,7 @@ def main(argv: list[str] | None = None) -> int:
         print(error, file=sys.stderr)
         return EXIT_USAGE
     except OSError as error:
-        print(f"{error.filename or args.output}: {error.strerror or error}", file=sys.stderr)
-        return usage_error_code(error)
+        return report_file_error(error, args.output)
     finally:
         logging.getLogger("vgmpi.apps.photo").removeHandler(lines)
     out = args.output

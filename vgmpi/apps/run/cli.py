@@ -27,8 +27,8 @@ log = logging.getLogger("vgmpi")
 EXIT_USAGE = 2
 # [s] --plan makes a pilot run that is shorter, also where inlets pour onto bodies
 PILOT_SECONDS, POURING_PILOT_SECONDS = 5.0, 20.0
-EXIT_CODES = """exit codes: 0 done, 1 unexpected error, 2 something in the scene or the flags is
-wrong, 3 the simulation blew up (what was written before is whole), 75 stopped with a checkpoint
+EXIT_CODES = """exit codes: 0 done, 1 unexpected error or a full disk, 2 something in the scene or
+the flags is wrong or the output is read-only, 3 the simulation blew up (what was written before is whole), 75 stopped with a checkpoint
 (also by the first Ctrl-C once steps are made), 130 interrupted"""
 
 
@@ -213,7 +213,7 @@ def main(argv: list[str] | None = None) -> int:
             print(f"vgmpi: {error}", file=sys.stderr)
         is_usage_error = isinstance(
             error, checkpoint.CheckpointError | run_lock.RunFolderInUseError
-        )
+        ) or getattr(error, "is_denied", False)
         return EXIT_USAGE if is_usage_error else 1
 
 

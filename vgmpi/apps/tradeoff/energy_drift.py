@@ -117,6 +117,7 @@ def main(argv: list[str]) -> int:
     folder = args.output or args.scene.resolve().parent / FOLDER / args.scene.stem
     try:
         scene = load(args.scene, args.set)
+        folder.mkdir(parents=True, exist_ok=True)
         results = runs(Study(scene, folder, args.ranks))
     except SceneError as error:
         print("\n".join(error.lines), file=sys.stderr)

@@ -137,6 +137,7 @@ def main(argv: list[str]) -> int:
         scene = load(args.scene, args.set)
         study = Study(scene, args.output, args.ranks)
         settings, finest = parameter_sweep.sweep(scene, args.vary)
+        args.output.mkdir(parents=True, exist_ok=True)
         if args.part:
             study.all(settings[args.part[0] - 1 :: args.part[1]], set())
             return 0
