@@ -25,9 +25,9 @@ def ids_of(index):
     return np.random.default_rng(index).permutation(TOTAL)[: COUNTS[index]]
 
 
-@pytest.fixture
-def out(tmp_path):
-    series = frames.Frames(tmp_path / "out", SerialCommunicator(), TOTAL)
+@pytest.fixture(params=[False, True], ids=["plain", "compressed"])
+def out(tmp_path, request):
+    series = frames.Frames(tmp_path / "out", SerialCommunicator(), TOTAL, compresses=request.param)
     for index in range(len(COUNTS)):
         ids = ids_of(index)
         series.write(index, index / 10, 100 * index, ids, columns(ids))

@@ -38,7 +38,7 @@ class Frames:
 
     def __init__(
         self, folder: str | Path, ranks: SerialCommunicator, total_ids: int, first: int = 0,
-        particles: int | None = None,
+        particles: int | None = None, compresses: bool = False,
     ):  # fmt: skip
         """Prepare the folder. Collective.
 
@@ -48,8 +48,9 @@ class Frames:
             total_ids: Number of particle ids.
             first: Frames from this number on are removed.
             particles: Identity of the run's gaussians.h5 (particle_set_id), None without.
+            compresses: Whether frames are compressed.
         """
-        self.particles = particles
+        self.particles, self.compresses = particles, compresses
         self.folder, self.ranks, self.total_ids = Path(folder), ranks, total_ids
         self.index_dtype = "i4" if total_ids < 2**31 - 1 else "i8"
         self._written: dict[int, _Written] = {}
@@ -106,7 +107,7 @@ class Frames:
         if "x" not in fields or set(fields) - set(names):
             raise ValueError(f"a frame has x and fields of layout.FRAME, not {sorted(fields)}")
         redistribute = _Redistribution(ids, self.total_ids, self.ranks)
-        with hdf5_writer.create(path, self.ranks) as f:
+        with hdf5_writer.create(path, self.ranks, self.compresses) as f:
             f.attr("", "schema", file_layout.SCHEMA)
             f.attr("VTKHDF", "Version", np.array([2, 0], np.int64))
             f.attr("VTKHDF", "Type", "PolyData")

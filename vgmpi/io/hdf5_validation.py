@@ -15,6 +15,8 @@ MAX_DEPTH, MAX_ITEMS = (
     8,
     10_000,
 )  # nesting of groups, items in a file: far above what the program writes
+MAX_DEFLATION = 1032  # [-] largest ratio of gzip
+MAX_CHUNK_BYTES = 1 << 24  # [bytes] of the numbers of a chunk
 SOURCE = re.compile(rf"{file_layout.FRAMES}/([^/]+)")
 
 
@@ -80,10 +82,24 @@ def _check_dataset(name, dataset, size, series):
         return
     if dataset.is_virtual or dataset.external:
         raise CorruptFileError(f"{name} keeps its numbers in another file")
-    if dataset.chunks is not None or dataset.dtype.kind not in "iufS" or dataset.shape is None:
+    if dataset.dtype.kind not in "iufS" or dataset.shape is None:
         raise CorruptFileError(f"{name} is not stored as this program does it")
+    if dataset.chunks is not None:
+        if not _is_compressed_frame(dataset):
+            raise CorruptFileError(f"{name} is not stored as this program does it")
+        size = MAX_DEFLATION * min(size, dataset.id.get_storage_size())
     if math.prod(dataset.shape) * dataset.dtype.itemsize > size:
         raise CorruptFileError(f"{name} claims more bytes than the file has")
+
+
+def _is_compressed_frame(dataset):
+    """Return whether a dataset is compressed as frames are, in chunks of bounded size."""
+    filters = dataset.id.get_create_plist().get_nfilters()
+    return (
+        (dataset.compression, dataset.shuffle, filters) == ("gzip", True, 2)
+        and dataset.maxshape == dataset.shape
+        and math.prod(dataset.chunks) * dataset.dtype.itemsize <= MAX_CHUNK_BYTES
+    )
 
 
 def source_frames(dataset: h5py.Dataset) -> list[int | None]:

@@ -32,6 +32,8 @@ from .sparse_memory_file import SparseMemoryFile
 log = logging.getLogger("vgmpi")
 
 MAX_WRITE_BYTES = 1 << 28  # [bytes] per write or message: MPI counts end at 2^31
+CHUNK_ROWS = 1 << 15  # rows that are compressed together
+GZIP_LEVEL = 1  # higher levels take several times as long for some percent
 MAX_PATH_BYTES = 220  # [bytes] longest path for Open MPI 4.1, which crashes beyond about 244
 _warned = False  # the notice about gathering is logged once
 
@@ -116,9 +118,15 @@ def remove_temporaries(folder: Path) -> None:
 
 
 @contextlib.contextmanager
-def create(path: str | Path, ranks: SerialCommunicator):
-    """Yield a Store that becomes `path` at the end of the block. Collective there."""
-    store = Hdf5Writer(Path(path), ranks)
+def create(path: str | Path, ranks: SerialCommunicator, compresses: bool = False):
+    """Yield a Store that becomes `path` at the end of the block. Collective there.
+
+    Args:
+        path: The file.
+        ranks: Communicator.
+        compresses: Whether `rows` are compressed; they are gathered on rank 0 then.
+    """
+    store = Hdf5Writer(Path(path), ranks, compresses)
     yield store
     store.finish()
 
@@ -126,10 +134,11 @@ def create(path: str | Path, ranks: SerialCommunicator):
 class Hdf5Writer:
     """HDF5 file to be written; made by `create`. Arrays must not change before the end."""
 
-    def __init__(self, path: Path, ranks: SerialCommunicator):
-        self.path, self.ranks = path, ranks
+    def __init__(self, path: Path, ranks: SerialCommunicator, compresses: bool = False):
+        self.path, self.ranks, self.compresses = path, ranks, compresses
         self.temporary = temporary_name(path)
-        self.gather = uses_root_gather(ranks) or len(os.fsencode(self.temporary)) > MAX_PATH_BYTES
+        is_long = len(os.fsencode(self.temporary)) > MAX_PATH_BYTES
+        self.gather = uses_root_gather(ranks) or is_long or compresses
         self.memory = SparseMemoryFile()
         self.file = h5py.File(self.memory, "w") if ranks.rank == 0 else None
         self._rows: list[tuple[str, np.ndarray, np.ndarray]] = []  # name, local rows, all counts
@@ -140,6 +149,9 @@ class Hdf5Writer:
         local = np.ascontiguousarray(local)
         counts = self.ranks.all_rows(np.array([len(local)], np.int64))
         self._rows.append((name, local, counts))
+        if self.compresses and counts.sum():
+            self._compressed_rows(name, local, counts)
+            return
         if self.file is None:
             return
         self._sums[name] = 0
@@ -149,6 +161,19 @@ class Hdf5Writer:
         plan.set_obj_track_times(False)
         self.file.create_dataset(name, (int(counts.sum()), *local.shape[1:]), local.dtype,
                                  dcpl=plan)  # fmt: skip
+
+    def _compressed_rows(self, name, local, counts):
+        """Compress the rows of all ranks into the file in memory; the same bytes on any ranks."""
+        pieces = list(self._pieces(local, counts))
+        if self.file is None:
+            return
+        rows = np.concatenate(pieces)
+        self._sums[name] = 0
+        chunk = (min(len(rows), CHUNK_ROWS), *rows.shape[1:])
+        self.file.create_dataset(
+            name, data=rows, chunks=chunk, compression="gzip", compression_opts=GZIP_LEVEL,
+            shuffle=True, track_times=False,
+        )  # fmt: skip
 
     def whole(self, name: str, array: np.ndarray | None) -> None:
         """Add a small dataset with the values of rank 0."""
@@ -203,7 +228,8 @@ class Hdf5Writer:
 
     def _notice(self):
         global _warned
-        if self.gather and self.ranks.mpi is not None and self.ranks.size > 1 and not _warned:
+        is_forced = self.gather and not self.compresses
+        if is_forced and self.ranks.mpi is not None and self.ranks.size > 1 and not _warned:
             _warned = True
             if self.ranks.rank == 0:
                 log.warning(
@@ -270,6 +296,8 @@ class Hdf5Writer:
             except OSError as caught:
                 error = caught
         for number, (_, local, counts) in enumerate(self._rows):
+            if self.compresses and counts.sum():
+                continue  # written with the layout
             place = places[number] if places else None
             for piece in self._pieces(local, counts):
                 if self.ranks.rank == 0 and error is None:

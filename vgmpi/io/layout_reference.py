@@ -24,9 +24,10 @@ This page lists the files of a run and all their datasets.
 All numbers are in SI units. Positions are domain coordinates: the box starts at (0, 0, 0) and z
 points up. The `transform` of an object maps back to the coordinates of its file. n is the number of
 particles, f4 and f8 are single and double precision, i4 and i8 are integers. HDF5 files are
-contiguous, uncompressed and readable with any HDF5 since 1.8 (series.vtkhdf: 1.10). Files are
-written atomically: as `NAME.tmp`, flushed to disk, then renamed. The bytes of every file are the
-same for any number of ranks.
+contiguous, uncompressed and readable with any HDF5 since 1.8 (series.vtkhdf: 1.10). With
+`output.compression = "gzip"`, the arrays of frames are in chunks with the filters shuffle and gzip
+of HDF5. Files are written atomically: as `NAME.tmp`, flushed to disk, then renamed. The bytes of
+every file are the same for any number of ranks.
 
 Every file contains checksums (those of a checkpoint are in its manifest). Readers compare them and
 name the damaged file and dataset or line. A file that is a link, or that stores its numbers in

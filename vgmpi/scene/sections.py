@@ -270,6 +270,11 @@ class Output(StrictModel):
     """fields of the frames besides positions; rendering needs F for elastic bodies and J for all
     others. stress, pressure, strain: of the law of each particle, for other programs.
     volume_fraction: where a coupling of kind mixing or drag lets materials share space"""
+    compression: Annotated[
+        Literal["none", "gzip"], ChangeableOnResume("applies to later frames")
+    ] = "none"
+    """gzip: frames are compressed without loss (shuffle and gzip of HDF5, which ParaView and h5py
+    read); rank 0 gathers and compresses them, which takes some 10 ms per MB"""
     checkpoint_interval: Annotated[
         float, Quantity("s", ge=0), ChangeableOnResume("applies from now on")
     ] = 600.0

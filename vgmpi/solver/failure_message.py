@@ -54,6 +54,11 @@ def failure_message(simulation: Any, report: StepReport) -> str:
     )
 
 
+def is_way_out(message: str) -> bool:
+    """Return whether a message tells of a body that left the domain: no number has grown."""
+    return FAILURE_MESSAGES[g2p.OUT_OF_DOMAIN] in message
+
+
 def _way_out(simulation: Any, particle: int) -> str:
     """Return how a particle left the domain through a wall, or an empty text; on every rank."""
     plan, local = simulation.plan, []

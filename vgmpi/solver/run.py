@@ -32,6 +32,7 @@ from vgmpi.solver.restart.checkpoint_validation import check_attrs
 from vgmpi.solver.restart.state_io import frame_rows, restore, save
 
 from .compile_kernels import compile_kernels
+from .failure_message import is_way_out
 from .initial_particles import (
     ParticleSummary,
     on_all,
@@ -126,7 +127,10 @@ class Runner:
     def _open(self, folder: Path, last_step: int | None) -> None:
         """Open frames, conservation log and checkpoints."""
         self.versions = versions()  # asked here, since a stop may leave little time to a checkpoint
-        self.frames = Frames(folder, self.ranks, self.plan.particles, self.frame, self.particles)
+        compresses = self.scene.output.compression == "gzip"
+        self.frames = Frames(
+            folder, self.ranks, self.plan.particles, self.frame, self.particles, compresses
+        )
         liquids = bool(liquid_phases(self.plan))
         self.ledger = ConservationLog(
             folder,
@@ -232,13 +236,14 @@ class Runner:
 
     def _blew_up(self, message: str) -> int:
         """Log what happened, and write the present state for inspection."""
+        kind = "stopped" if is_way_out(message) else "blow-up"
         if self.options.folder is None:
-            log.error("blow-up: %s", message)
+            log.error("%s: %s", kind, message)
             return BLEW_UP
         folder = self.options.folder / file_layout.BLOWUP
         path = self._write_frame_file(Frames(folder, self.ranks, self.plan.particles), 0)
         log.error(
-            "blow-up: %s; frames and checkpoints are whole, this state is in %s", message, path
+            "%s: %s; frames and checkpoints are whole, this state is in %s", kind, message, path
         )
         return BLEW_UP
 

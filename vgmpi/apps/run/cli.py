@@ -28,8 +28,9 @@ EXIT_USAGE = 2
 # [s] --plan makes a pilot run that is shorter, also where inlets pour onto bodies
 PILOT_SECONDS, POURING_PILOT_SECONDS = 5.0, 20.0
 EXIT_CODES = """exit codes: 0 done, 1 unexpected error or a full disk, 2 something in the scene or
-the flags is wrong or the output is read-only, 3 the simulation blew up (what was written before is whole), 75 stopped with a checkpoint
-(also by the first Ctrl-C once steps are made), 130 interrupted"""
+the flags is wrong or the output is read-only, 3 the simulation blew up (what was written before
+is whole), 75 stopped with a checkpoint (also by the first Ctrl-C once steps are made), 130
+interrupted"""
 
 
 def _parser() -> argparse.ArgumentParser:
