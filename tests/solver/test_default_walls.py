@@ -1,5 +1,7 @@
 """Walls without a kind: slip for liquids, separate for the rest; what plan and failure say."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -11,8 +13,9 @@ from vgmpi.kernels.transfer.g2p import OUT_OF_DOMAIN
 from vgmpi.planning.cost.plan_report import format_plan
 from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.solver.engines.engine_protocol import StepReport
-from vgmpi.solver.failure_message import failure_message
+from vgmpi.solver.failure_message import failure_message, is_way_out
 from vgmpi.solver.initial_particles import known_of, plan_for
+from vgmpi.solver.run import Runner
 
 SCENE = """
 [domain]
@@ -128,7 +131,7 @@ def test_check_and_plan_name_slip_walls_that_hold(tmp_path, capsys):
     assert "  walls       separate, separate" in report
 
 
-def test_a_failure_names_the_wall(tmp_path):
+def test_a_failure_names_the_wall(tmp_path, caplog):
     simulation, _ = begin(tmp_path, text_of(body("jelly")))
     (group,) = simulation.groups
     index = group.index()
@@ -136,3 +139,9 @@ def test_a_failure_names_the_wall(tmp_path):
     report = StepReport(1.0, 0.0, (0.0, 0.0, 0.0), [(int(group.ids[lowest]), OUT_OF_DOMAIN)], [])
     message = failure_message(simulation, report)
     assert message.endswith("it left the domain: it sank through the bottom wall")
+    assert is_way_out(message) and not is_way_out("object 0: its volume ratio J left 0.1 .. 5")
+    runner = Runner.__new__(Runner)
+    runner.options = SimpleNamespace(folder=None)
+    assert runner._blew_up(message.format("egg")) == 3
+    (record,) = caplog.records
+    assert record.getMessage().startswith("stopped: object egg, particle ")
