@@ -30,7 +30,7 @@ setup:
 demo:
 	@EXTRAS= HDF5=serial ./setup.sh
 	$(PY) runs/assets/make_assets.py
-	mpirun -n 2 $(PY) -m vgmpi $(RUN)/scene.toml --overwrite --calibrate
+	$(PY) -m vgmpi $(RUN)/scene.toml --ranks 2 --overwrite --calibrate
 	$(PY) -m postprocess.render $(RUN)/out $(RUN)/render.toml -o $(RUN)/out/video.mp4
 	@echo
 	@echo "video:    $(CURDIR)/$(RUN)/out/video.mp4"

@@ -26,6 +26,7 @@ from vgmpi.rendering import image_io, render_config
 from vgmpi.rendering.appearance import Appearance
 from vgmpi.rendering.export_model import file_render_model
 from vgmpi.rendering.particle_surface import SMOOTHING_STEPS
+from vgmpi.runtime.argument_parser import ArgumentParser
 from vgmpi.runtime.exit_handler import (
     exit_code_from_exceptions,
     report_file_error,
@@ -119,7 +120,7 @@ def losses(gaussians: GaussianCloud, suffix: str) -> list[str]:
 
 def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
-    p = argparse.ArgumentParser(prog="vgmpi export", description=__doc__)
+    p = ArgumentParser(prog="vgmpi export", description=__doc__)
     p.add_argument("out", help="folder of the run")
     p.add_argument("settings", nargs="?", help="render.toml, of which the table [look] is used")
     p.add_argument("--frames", help="a number, or first:last:every as in Python [all]")

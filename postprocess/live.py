@@ -20,6 +20,7 @@ from vgmpi.io.run_reader import RunError
 from vgmpi.rendering import render_config
 from vgmpi.rendering.render_config import SettingsError
 from vgmpi.runtime import safe_open
+from vgmpi.runtime.argument_parser import ArgumentParser
 from vgmpi.runtime.exit_handler import exit_code_from_exceptions
 from vgmpi.runtime.suggestions import did_you_mean_file
 
@@ -35,7 +36,7 @@ LOW_PRIORITY = 10  # of a page that a run has started
 
 def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
-    p = argparse.ArgumentParser(prog="vgmpi live", description=__doc__)
+    p = ArgumentParser(prog="vgmpi live", description=__doc__)
     p.add_argument("out", type=Path, help="folder of the run")
     p.add_argument(
         "settings",

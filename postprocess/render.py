@@ -25,9 +25,10 @@ from vgmpi.rendering.frame_progress import FrameProgress
 from vgmpi.rendering.frame_ranks import OtherRankError, render_on_ranks, run_on_all_ranks
 from vgmpi.rendering.frame_renderer import FrameRenderer, RenderedView
 from vgmpi.rendering.prepared_run import PreparedRun, open_run
+from vgmpi.runtime.argument_parser import ArgumentParser
 from vgmpi.runtime.compile_notice import announce_compiling
-from vgmpi.runtime.cpu_features import available_cores
 from vgmpi.runtime.exit_handler import exit_code_from_exceptions, usage_error_code
+from vgmpi.runtime.processor_cores import available_cores
 
 log = logging.getLogger("vgmpi")
 
@@ -71,7 +72,7 @@ def ranks_of_launcher() -> Any:
 
 def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
-    p = argparse.ArgumentParser(prog="vgmpi render", description=__doc__)
+    p = ArgumentParser(prog="vgmpi render", description=__doc__)
     p.add_argument("out", help="folder of the run")
     p.add_argument("settings", nargs="?", help="render.toml: camera, picture, video, splatting")
     p.add_argument(

@@ -22,6 +22,7 @@ from vgmpi.rendering.frame_renderer import domain_box, visible_extent
 from vgmpi.rendering.gaussian_selection import GaussianSelection
 from vgmpi.rendering.render_config import CameraSettings, PictureSettings, SettingsError
 from vgmpi.rendering.viewer_scene import show_domain, viewer_camera
+from vgmpi.runtime.argument_parser import ArgumentParser
 from vgmpi.runtime.exit_handler import exit_code_from_exceptions, usage_error_code
 
 log = logging.getLogger("vgmpi")
@@ -88,7 +89,7 @@ def _free_port() -> int:
 
 def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
-    p = argparse.ArgumentParser(prog="vgmpi replay", description=__doc__)
+    p = ArgumentParser(prog="vgmpi replay", description=__doc__)
     p.add_argument("out", help="folder of the run")
     p.add_argument("-o", "--output", help="output page [OUT/replay.html]")
     p.add_argument(

@@ -15,6 +15,7 @@ from vgmpi.gaussians.camera import fit_orbit_to_box, orbit_eye
 from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.rendering import image_io
 from vgmpi.rendering.field_values import scalars, title
+from vgmpi.runtime.argument_parser import ArgumentParser
 from vgmpi.runtime.exit_handler import exit_code_from_exceptions, usage_error_code
 
 FOV = 30.0  # [degrees] vertical field of view
@@ -81,7 +82,7 @@ def picture(run: RunReader, index: int, color: str, path: Path, args: argparse.N
 
 def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
-    p = argparse.ArgumentParser(prog="vgmpi view", description=__doc__)
+    p = ArgumentParser(prog="vgmpi view", description=__doc__)
     p.add_argument("out", help="folder of the run")
     p.add_argument("--frame", type=int, default=-1, help="number of the frame [the last]")
     p.add_argument(

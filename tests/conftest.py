@@ -9,7 +9,8 @@ import pytest
 from tests.support import long_tests
 from tests.support.cost_counter import COSTS, count_processes
 
-HEARD = {s: signal.getsignal(s) for s in (signal.SIGUSR1, signal.SIGTERM)}
+SIGNALS = (signal.SIGUSR1, signal.SIGTERM, signal.SIGHUP, signal.SIGXCPU)
+HEARD = {s: signal.getsignal(s) for s in SIGNALS}
 # who runs all this behind `&` in a script has it ignored, which every process inherits
 HEARD[signal.SIGINT] = signal.default_int_handler
 

@@ -9,7 +9,7 @@ import vgmpi
 from tests.support import launch, simulated_ranks
 from tests.support.launch import ROOT
 from tests.support.small_scenes import MIXED, ROOM, write
-from vgmpi.apps.run import cli
+from vgmpi.apps.run import cli, flags
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import registry
 from vgmpi.kernels.nodal_fields import momentum
@@ -202,7 +202,7 @@ def test_amounts_that_make_no_sense(scene, capsys, amount):
     ],
 )
 def test_amounts(text, want):
-    assert cli._amount(text) == want
+    assert flags._amount(text) == want
 
 
 def test_inspect(scene, capsys):

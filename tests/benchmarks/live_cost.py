@@ -153,7 +153,7 @@ def measure_slowdown(
 
 def _run(scene: Path, out: Path, ranks: int, is_live: bool) -> tuple[float, float]:
     """Run a scene; return the seconds of its steps, and the processor time of its page."""
-    words = [sys.executable, "-m", "vgmpi", str(scene), "-o", str(out)]
+    words = [sys.executable, "-m", "vgmpi", str(scene), "-o", str(out), "--ranks", "1"]
     words += ["--live", "0"] if is_live else []
     command = ["mpirun", "-n", str(ranks), *words] if ranks > 1 else words
     env = os.environ | OPEN_MPI | {"PYTHONPATH": str(ROOT)}

@@ -65,10 +65,10 @@ def _life(command: list, target: str, random: np.random.Generator, own: Path, se
     before = len(list(out.glob("frames/*.vtkhdf")))
     process = start(command, env={MARK: mark})
     try:
-        _wait(process, out, random, seconds)
+        wait_for_moment(process, out, random, seconds)
         seen = set(_kill(process, target, mark, random))
         code = process.wait(PATIENCE)
-        until(lambda: not _left(seen, mark), f"what was left of it ends: {sorted(seen)}")
+        until(lambda: not is_left(seen, mark), f"what was left of it ends: {sorted(seen)}")
     finally:
         for pid in _marked(mark):  # only where the case failed
             _end(pid)
@@ -80,7 +80,9 @@ def _life(command: list, target: str, random: np.random.Generator, own: Path, se
     return "running" if len(list(out.glob("frames/*.vtkhdf"))) > before else "in set-up"
 
 
-def _wait(process: subprocess.Popen, out: Path, random: np.random.Generator, seconds: float):
+def wait_for_moment(
+    process: subprocess.Popen, out: Path, random: np.random.Generator, seconds: float
+):
     """To any moment, or for a file and a little longer: most of what can go wrong is near one."""
     frames = [
         f"{file_layout.FRAMES}/{file_layout.FRAME_NAME.format(k)}" for k in range(tiny.FRAMES)
@@ -131,7 +133,7 @@ def _marked(mark: str) -> list[int]:
     return sorted(found)
 
 
-def _left(seen: set[int], mark: str) -> bool:
+def is_left(seen: set[int], mark: str) -> bool:
     """Whether anything of it lives. A process that ends loses its environment first and its files,
     with the lock, after that; then it is a zombie until its parent asks, with all its threads.
     """

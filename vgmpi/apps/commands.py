@@ -4,11 +4,15 @@ The module of a subcommand is imported when the subcommand is called.
 """
 
 import importlib
+import os
 import platform
 import sys
 from typing import NamedTuple
 
+from vgmpi.runtime.argument_parser import EXIT_USAGE
 from vgmpi.runtime.exit_handler import exit_code_from_exceptions
+from vgmpi.runtime.process_limits import find_unusable_limit
+from vgmpi.runtime.suggestions import did_you_mean
 from vgmpi.runtime.versions import program_version
 
 
@@ -22,7 +26,7 @@ class Command(NamedTuple):
 
 
 COMMANDS = {
-    "run": Command("vgmpi.apps.run.cli", "run a scene; `vgmpi scene.toml` does the same"),
+    "run": Command("vgmpi.apps.run.start", "run a scene; `vgmpi scene.toml` does the same"),
     "check": Command("vgmpi.apps.run.cli", "check a scene file and write nothing", ("--check",)),
     "plan": Command("vgmpi.apps.run.cli", "estimate memory and time of a scene", ("--plan",)),
     "prepare": Command(
@@ -46,7 +50,6 @@ COMMANDS = {
 HELP = """usage: vgmpi scene.toml [flags]
        vgmpi COMMAND [flags]
        vgmpi --version
-       mpirun -n 2 python -m vgmpi scene.toml
 
 Multiphase physics on 3D Gaussians. `vgmpi COMMAND --help` lists the flags of a command.
 
@@ -78,6 +81,9 @@ def main(argv: list[str]) -> int:
     if argv and argv[0] == "--version":
         print(f"vgmpi {program_version()}, Python {platform.python_version()}")
         return 0
+    if problem := _suggest_command(argv) or find_unusable_limit():
+        print(f"vgmpi: {problem}", file=sys.stderr)
+        return EXIT_USAGE
     name, words = (argv[0], argv[1:]) if argv and argv[0] in COMMANDS else ("run", argv)
     command = COMMANDS[name]
     try:
@@ -86,9 +92,18 @@ def main(argv: list[str]) -> int:
         if error.name and error.name.startswith("vgmpi"):
             raise
         print(f"vgmpi {name}: the package {error.name} is not installed", file=sys.stderr)
-        return 2
+        return EXIT_USAGE
     flags = () if {"-h", "--help"} & set(words) else command.flags
     return getattr(module, command.function)([*flags, *words])
+
+
+def _suggest_command(argv: list[str]) -> str:
+    """Return one line if the first word is like a command and names no scene, else ""."""
+    word = argv[0] if argv else ""
+    if word in COMMANDS or not word.isidentifier() or os.path.lexists(word):
+        return ""
+    suggestion = did_you_mean(word, COMMANDS)
+    return f"there is no command or scene {word!r}{suggestion}" if suggestion else ""
 
 
 @exit_code_from_exceptions

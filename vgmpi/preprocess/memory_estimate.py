@@ -191,6 +191,21 @@ def min_particle_count(scene: Scene, obj: Object) -> float:
     return max(counts)
 
 
+def approximate_particle_count(scene: Scene, obj: Object, exact_from: int = 1_000) -> float:
+    """Return about how many particles a shape will have; 0 if its place is not valid.
+
+    Args:
+        scene: The scene.
+        obj: An object with a shape.
+        exact_from: Lattice points in its box from which on the shape itself is sampled.
+    """
+    region = _box(scene, obj)
+    if region is None:
+        return 0.0
+    points = shape_sdf.lattice_size(*region[1:], spacing_of(scene, obj))
+    return min_particle_count(scene, obj) if points >= exact_from else float(points)
+
+
 def _box(scene: Scene, obj: Object) -> tuple[SimilarityTransform, np.ndarray, np.ndarray] | None:
     """Return placement and corners (3,) [m] of a shape; None without one or if invalid."""
     shape = obj.shape

@@ -1,7 +1,6 @@
 """Features of the processor for which code is compiled."""
 
 import functools
-import os
 import pathlib
 import platform
 import zlib
@@ -11,7 +10,7 @@ from numba import config
 
 from .compile_cache import user_folder
 
-__all__ = ["available_cores", "model", "processor", "user_folder", "vector_bytes", "widest"]
+__all__ = ["model", "processor", "user_folder", "vector_bytes", "widest"]
 
 _SUM = """
 target triple = "{triple}"
@@ -32,13 +31,6 @@ def model() -> str:
     except OSError:
         pass  # not Linux
     return f"{name} ({processor()})"
-
-
-def available_cores() -> int:
-    """Return the number of cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def processor() -> str:

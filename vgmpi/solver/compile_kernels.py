@@ -3,6 +3,7 @@
 import contextlib
 import logging
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -15,6 +16,7 @@ from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.halo_exchange import FieldMessage
 from vgmpi.planning.particle_channels import SURFACE
 from vgmpi.planning.plan import Plan
+from vgmpi.runtime.compile_lock import ON_EVERY_RANK
 from vgmpi.runtime.compiled_marker import compiled_marker
 from vgmpi.runtime.cpu_features import processor
 from vgmpi.runtime.fast_dispatch import is_begun, precompiled_entry
@@ -25,6 +27,7 @@ from .simulation import BlowUp, Simulation
 log = logging.getLogger("vgmpi")
 
 LINE_INTERVAL = 10.0  # [s] between lines on compiling where there is no terminal
+WAIT_INTERVAL = 60.0  # [s] for which rank 1 waits for rank 0 before a line says so
 
 
 def compile_kernels(plan: Plan, ranks: SerialCommunicator) -> None:
@@ -45,7 +48,8 @@ def compile_kernels(plan: Plan, ranks: SerialCommunicator) -> None:
     if not ready:
         _compile_share(plan, ranks)
     failure = _failure_of_run(plan) if ranks.rank == 0 or ready else ""
-    failure = ranks.bcast(failure)  # the others wait here while rank 0 compiles
+    with _announced_wait(ranks):
+        failure = ranks.bcast(failure)  # the others wait here while rank 0 compiles
     if failure:
         raise BlowUp(f"before the first step, a particle of every object in one place: {failure}")
     if ranks.rank == 0:
@@ -54,6 +58,25 @@ def compile_kernels(plan: Plan, ranks: SerialCommunicator) -> None:
             marker.touch()
     elif not ready:
         _run_all(plan)
+
+
+@contextlib.contextmanager
+def _announced_wait(ranks: SerialCommunicator) -> Iterator[None]:
+    """Log, on rank 1 alone, that rank 0 is waited for if that takes WAIT_INTERVAL."""
+
+    def announce() -> None:
+        """Log the line."""
+        seconds = f"{WAIT_INTERVAL:.0f} s"
+        log.log(ON_EVERY_RANK, "rank 1 waits for rank 0, which compiles: %s so far", seconds)
+
+    timer = threading.Timer(WAIT_INTERVAL, announce)
+    timer.daemon = True
+    if ranks.rank == 1:
+        timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def is_compiled(plan: Plan) -> bool:

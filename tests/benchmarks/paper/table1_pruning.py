@@ -177,7 +177,7 @@ def simulated(path: Path, folder: Path, overrides: list[str], args: argparse.Nam
     """
     end = FRAME_INTERVAL * args.frames
     sets = [f"time.end={end!r}", f"time.frames={args.frames + 1}", "output.checkpoint_interval=0"]
-    command = [sys.executable, "-m", "vgmpi", path, "-o", folder]
+    command = [sys.executable, "-m", "vgmpi", path, "-o", folder, "--ranks", args.ranks]
     for item in (*sets, *overrides):
         command += ["--set", item]
     if args.ranks > 1 and shutil.which("mpirun"):

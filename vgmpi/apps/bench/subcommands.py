@@ -4,6 +4,7 @@ import argparse
 import sys
 from collections.abc import Callable, Mapping
 
+from vgmpi.runtime.argument_parser import ArgumentParser
 from vgmpi.runtime.config.schema import SceneError
 
 # what a subcommand does, how its flags are added, how it runs
@@ -24,7 +25,7 @@ def parse_arguments(
     Returns:
         The flags, with `run` of the subcommand.
     """
-    parser = argparse.ArgumentParser(prog=program, description=description)
+    parser = ArgumentParser(prog=program, description=description)
     subparsers = parser.add_subparsers(dest="command", required=True)
     for name, (summary, add_flags, run) in commands.items():
         command = subparsers.add_parser(name, help=summary, description=summary)

@@ -4,6 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from vgmpi.runtime.argument_parser import ArgumentParser
 from vgmpi.runtime.atomic_write import replace_file
 from vgmpi.runtime.exit_handler import exit_code_from_exceptions, report_file_error
 
@@ -12,7 +13,7 @@ WRONG = 2
 
 def arguments(argv: list[str] | None) -> argparse.Namespace:
     """Return the command-line arguments."""
-    parser = argparse.ArgumentParser(
+    parser = ArgumentParser(
         prog="vgmpi convert",
         description="A configuration of PhysGaussian or VersaGauss becomes a scene. Each key that"
         " the scene does not have is named, on stderr and at the end of the scene.",

@@ -15,6 +15,7 @@ from vgmpi.apps.tradeoff.study_runs import StudyError
 from vgmpi.io.run_lock import file_lock
 from vgmpi.io.run_reader import RunError
 from vgmpi.rendering.image_io import VideoError
+from vgmpi.runtime.argument_parser import ArgumentParser
 from vgmpi.runtime.atomic_write import replace_file
 from vgmpi.runtime.config.schema import TomlError
 from vgmpi.runtime.exit_handler import exit_code_from_exceptions, usage_error_code
@@ -32,7 +33,7 @@ RUNS, TABLE = "runs", "fit.csv"
 
 def arguments(argv: list[str] | None) -> argparse.Namespace:
     """Parse the command line."""
-    p = argparse.ArgumentParser(
+    p = ArgumentParser(
         prog="vgmpi fit", description=__doc__,
         formatter_class=argparse.RawTextHelpFormatter,
     )  # fmt: skip

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+from vgmpi.runtime.argument_parser import ArgumentParser
 from vgmpi.runtime.exit_handler import exit_code_from_exceptions, report_file_error
 
 EXIT_USAGE = 2
@@ -15,7 +16,7 @@ EXIT_USAGE = 2
 
 def parse_arguments(argv: list[str] | None) -> argparse.Namespace:
     """Parse the command line."""
-    parser = argparse.ArgumentParser(
+    parser = ArgumentParser(
         prog="vgmpi photo",
         description="Objects in a photograph become Gaussians and a scene in which they stand as"
         " they do in the photograph. Every guess is written into the layout, where it can be"

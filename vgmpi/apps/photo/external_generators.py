@@ -4,7 +4,6 @@ They exchange files with this program. Their bodies are kept in the output folde
 after a crash only makes the missing ones.
 """
 
-import ctypes
 import glob
 import hashlib
 import json
@@ -22,6 +21,7 @@ from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import registry
 from vgmpi.gaussians.formats.validation import GaussianFileError
 from vgmpi.runtime.atomic_write import replace_file
+from vgmpi.runtime.death_signal import die_with_parent
 from vgmpi.runtime.suggestions import did_you_mean_file
 
 from .layout_config import BodiesTable
@@ -137,10 +137,10 @@ def _run(config: BodiesTable, script: Path, picture: Path, output: Path) -> None
     command = [config.python, str(script), "--image", str(picture), "--output", str(output)]
     command += ["--seed", str(config.seed)]
     with tempfile.TemporaryFile() as log_file:
-        try:
+        try:  # it would outlive a start that was killed, and fill the GPU that the next one needs
             child = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=log_file, stderr=log_file,
-                start_new_session=True, preexec_fn=_die_with_parent,
+                start_new_session=True, preexec_fn=die_with_parent(signal.SIGKILL),
                 env={k: v for k, v in os.environ.items() if k != "PYTHONPATH"},
             )  # fmt: skip
         except OSError as error:
@@ -159,17 +159,6 @@ def _run(config: BodiesTable, script: Path, picture: Path, output: Path) -> None
         raise program_error(config, code, text)
     if not output.is_file():
         raise GeneratorError(f"{config.method}: it ended well, but wrote no {output.name}")
-
-
-def _die_with_parent() -> None:
-    """Let the kernel kill this child when its parent dies (Linux).
-
-    Otherwise it would go on to fill the GPU that the next start needs.
-    """
-    set_death_signal = 1  # PR_SET_PDEATHSIG
-    prctl = getattr(ctypes.CDLL(None), "prctl", None)
-    if prctl is not None:
-        prctl(set_death_signal, int(signal.SIGKILL))
 
 
 def program_error(config: BodiesTable, code: int, text: str) -> GeneratorError:

@@ -12,7 +12,15 @@ log = logging.getLogger("vgmpi")
 LINGER = 600  # [s] after the end of the run without viewers when the page ends
 LOG_NAME = "live.log"  # messages of the page, in the folder of the run
 # variables by which MPI would take the page for a rank of the run
-RANK_VARIABLES = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "MPI_LOCALRANKID", "SLURM_PROCID")
+RANK_VARIABLES = (
+    "OMPI_",
+    "PMIX_",
+    "PMI_",
+    "PRTE_",
+    "MPI_LOCALRANKID",
+    "SLURM_PROCID",
+    "VGMPI_SUPERVISOR",
+)
 
 
 def start_live_page(folder: Path, port: int) -> None:

@@ -3,11 +3,10 @@
 import argparse
 import logging
 import os
-import signal
 from pathlib import Path
 
 from vgmpi.parallel.communicator import MpiCommunicator, SerialCommunicator
-from vgmpi.parallel.launch import describe_stop, find_launcher
+from vgmpi.parallel.launch import SUPERVISOR_VARIABLE, describe_stop, find_launcher
 from vgmpi.planning.cost.plan_report import format_plan
 from vgmpi.planning.cost.run_estimate import predicted_seconds
 from vgmpi.planning.cost.throughput import ASSUMED_THROUGHPUT, Throughput
@@ -24,7 +23,7 @@ from vgmpi.solver.estimates.pilot_run import pilot_run
 from vgmpi.solver.initial_particles import ParticleSummary
 from vgmpi.solver.run_options import InvalidRunOptions
 from vgmpi.solver.simulation import BlowUp
-from vgmpi.solver.stop_requests import install_signal_handlers
+from vgmpi.solver.stop_requests import begin_steps
 
 from .cli import card_module, memory_refusal, refuse
 from .live_process import start_live_page
@@ -95,13 +94,13 @@ def run_scene(
             observer = RunObserver()
             options.listeners += [progress, observer.step]
             options.watchers.append(lambda run: observer.frame(run.latest_conservation))
-            if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as behind a script's &
-                install_signal_handlers(signal.SIGINT)
+            begin_steps()
             if args.live is not None and ranks.rank == 0:
                 start_live_page(folder, args.live)
             if isinstance(ranks, MpiCommunicator) and ranks.size > 1 and ranks.rank == 0:
                 job = os.environ.get("SLURM_JOB_ID")
-                log.info(describe_stop(ranks.library, find_launcher(), job))
+                supervisor = os.environ.get(SUPERVISOR_VARIABLE)
+                log.info(describe_stop(ranks.library, find_launcher(), job, supervisor))
             code = run.run()
             progress.close()
             lines = [report.timing_table(run, clock)]

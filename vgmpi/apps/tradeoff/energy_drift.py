@@ -17,6 +17,7 @@ import numpy as np
 from vgmpi.io import csv_log, file_layout
 from vgmpi.io.run_reader import RunError
 from vgmpi.planning.cost.tradeoff_results import FOLDER
+from vgmpi.runtime.argument_parser import ArgumentParser
 from vgmpi.runtime.atomic_write import replace_file
 from vgmpi.runtime.config.schema import SceneError
 from vgmpi.scene.loader import load
@@ -101,7 +102,7 @@ def runs(study: Study) -> dict[str, np.ndarray]:
 
 def main(argv: list[str]) -> int:
     """Run the study and return its exit code."""
-    parser = argparse.ArgumentParser(
+    parser = ArgumentParser(
         prog="vgmpi energy", description=__doc__,
         formatter_class=argparse.RawTextHelpFormatter,
     )  # fmt: skip

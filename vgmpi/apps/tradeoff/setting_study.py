@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from vgmpi.planning.cost.tradeoff_results import FOLDER, TABLE
+from vgmpi.runtime.argument_parser import ArgumentParser
 from vgmpi.runtime.atomic_write import replace_file
 from vgmpi.runtime.config import toml_writer
 from vgmpi.runtime.config.schema import Quantity, SceneError
@@ -45,7 +46,7 @@ LABELS = {
 
 def _parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
-    parser = argparse.ArgumentParser(
+    parser = ArgumentParser(
         prog="vgmpi tradeoff", description=__doc__,
         formatter_class=argparse.RawTextHelpFormatter,
     )  # fmt: skip

@@ -151,6 +151,7 @@ def run_program(
     launcher = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
     flags = [word for override in (*scene.overrides, *overrides) for word in ("--set", override)]
     program = [sys.executable, "-m", "vgmpi", str(scene.path), "-o", str(folder), "-q"]
+    program += ["--ranks", str(ranks)]
     words, env = [*launcher, *program, *extra_flags, *flags], {**OPEN_MPI, **os.environ}
     pipe = subprocess.PIPE
     with subprocess.Popen(

@@ -97,7 +97,8 @@ class Progress:
         if self.bar is not None:
             where = f"step {simulation.step}, frame {self.run.frame}"
             self.bar.set_postfix_str(f"{self._remaining()}{where}", refresh=False)
-            self.bar.update(simulation.time - self.bar.n)
+            with contextlib.suppress(OSError):  # a terminal that was closed; SIGHUP stops the run
+                self.bar.update(simulation.time - self.bar.n)
         elif now - self.last_log >= LOG_EVERY:
             self.last_log = now
             log.info(

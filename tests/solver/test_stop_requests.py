@@ -1,0 +1,91 @@
+"""Signals before the first step end a run soon, and later ones ask for a checkpoint."""
+
+import os
+import signal
+import sys
+import time
+
+import pytest
+
+from tests.support.launch import finish, start
+from vgmpi.solver.stop_requests import EndedBySignalError, Requests, begin_steps, signals_heard
+
+ENDING = [signal.SIGTERM, signal.SIGHUP, signal.SIGXCPU]
+# compiled code that does not return for minutes; Python's handlers cannot run
+BUSY = """
+import hashlib, logging
+from vgmpi.solver.stop_requests import signals_heard
+logging.getLogger("vgmpi").setLevel(LEVEL)
+with signals_heard():
+    print("ready", flush=True)
+    hashlib.pbkdf2_hmac("sha256", b"", b"", 10**9)
+"""
+
+
+@pytest.mark.parametrize("number", ENDING)
+def test_before_the_first_step_it_ends_the_run(number):
+    before = signal.getsignal(number)
+    with pytest.raises(EndedBySignalError) as end, signals_heard():
+        signal.raise_signal(number)
+    assert end.value.code == 128 + number
+    assert end.value.line == f"{number.name} before the first step: the run ends, nothing is kept"
+    assert signal.getsignal(number) == before
+
+
+@pytest.mark.parametrize("number", ENDING)
+def test_then_it_asks_for_a_stop(number, caplog):
+    with signals_heard(), caplog.at_level("INFO", "vgmpi"):
+        begin_steps()
+        requests = Requests()
+        assert requests.poll(1) == (0.0, 0.0)
+        signal.raise_signal(number)
+        assert requests.poll(2) == requests.poll(3) == (1.0, 0.0)
+    assert caplog.messages == [f"{number.name}: stops with a checkpoint"]
+
+
+def test_usr1_is_kept_for_the_first_step():
+    with signals_heard():
+        signal.raise_signal(signal.SIGUSR1)
+        begin_steps()
+        assert Requests().poll(1) == (1.0, 0.0)
+    with signals_heard():
+        assert Requests().poll(1) == (0.0, 0.0), "of the run before"
+
+
+def test_what_nohup_ignores_stays_ignored():
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    with signals_heard():
+        signal.raise_signal(signal.SIGHUP)
+        begin_steps()
+        assert Requests().poll(1) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("number", [*ENDING, signal.SIGINT])
+def test_compiled_code_does_not_hold_it_up(number):
+    process = start([sys.executable, "-c", BUSY.replace("LEVEL", "0")])
+    assert process.stdout.readline() == "ready\n"
+    begin = time.monotonic()
+    process.send_signal(number)
+    job = finish(process)
+    assert job.returncode == 128 + number and time.monotonic() - begin < 60
+    line = f"vgmpi: {number.name} before the first step: the run ends, nothing is kept\n"
+    assert job.stderr == ("" if number == signal.SIGINT else line)
+
+
+def test_only_the_first_rank_says_it():
+    process = start([sys.executable, "-c", BUSY.replace("LEVEL", "51")])
+    assert process.stdout.readline() == "ready\n"
+    process.send_signal(signal.SIGTERM)
+    job = finish(process)
+    assert job.returncode == 143 and job.stderr == ""
+
+
+def test_a_forked_child_has_no_part_in_it():
+    with signals_heard():
+        child = os.fork()
+        if child == 0:
+            signal.signal(signal.SIGTERM, lambda *_: os._exit(7))
+            os.kill(os.getpid(), signal.SIGTERM)
+            os._exit(8)
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7
+        time.sleep(3)  # longer than the grace in which this process would be ended

@@ -1,0 +1,105 @@
+"""Choice of ranks for a run that no MPI launcher started, by the time that its scene will take."""
+
+import math
+from typing import NamedTuple
+
+from vgmpi.planning.cost.plan_report import predicted_seconds
+from vgmpi.planning.cost.throughput import ASSUMED_THROUGHPUT
+from vgmpi.planning.inlet_schedule import layer_count
+from vgmpi.planning.plan import make_plan, time_step_bounds
+from vgmpi.preprocess import memory_estimate
+from vgmpi.runtime.config.schema import SceneError
+from vgmpi.scene import inlet_geometry
+from vgmpi.scene.objects import Object
+from vgmpi.scene.scene import Scene
+
+START_SECONDS = 2.0  # [s] by which ranks start later than one process, measured on two cores
+MIN_GAIN = 0.9  # [-] of the time on one rank, above which ranks are not worth it
+# A file's body is not read for this. Shares of the cube over a given height, and of the domain
+# where only a scale is given, that captures and meshes fill: a factor of 3 off at most in runs/.
+FILLED_CUBE, FILLED_DOMAIN = 0.3, 0.05
+
+
+class CoreChoice(NamedTuple):
+    """Number of ranks and why it is that."""
+
+    ranks: int
+    reason: str  # empty where all cores are used
+
+
+def choose_ranks(
+    scene: Scene, cores: int, stop_steps: int = 0, stop_seconds: float = 0.0
+) -> CoreChoice:
+    """Return the number of ranks with which a run ends first.
+
+    Args:
+        scene: The scene.
+        cores: Cores that this process may use.
+        stop_steps: Steps after which the run stops, 0 for no limit.
+        stop_seconds: Wall time after which the run stops [s], 0 for no limit.
+    """
+    if cores == 1:
+        return CoreChoice(1, "")
+    try:
+        times = [
+            predicted_run_seconds(scene, ranks, stop_steps) + (START_SECONDS if ranks > 1 else 0.0)
+            for ranks in range(1, cores + 1)
+        ]
+    except SceneError:
+        return CoreChoice(1, "the scene has errors")
+    best = min(range(cores), key=lambda k: times[k])
+    is_short = 0.0 < stop_seconds < 2.0 * START_SECONDS
+    if is_short or times[best] > MIN_GAIN * times[0]:
+        best = 0
+    if best + 1 == cores:
+        return CoreChoice(cores, "")
+    return CoreChoice(best + 1, "the scene is too small for more (plan)")
+
+
+def predicted_run_seconds(scene: Scene, ranks: int, stop_steps: int = 0) -> float:
+    """Return the predicted time of a run from its start [s], before its particles are made.
+
+    It is a lower bound: contact and partly filled blocks, which are not known yet, take three times
+    as long again in a scene of tiny bodies.
+
+    Args:
+        scene: The scene.
+        ranks: Number of ranks.
+        stop_steps: Steps after which the run stops, 0 for no limit.
+
+    Raises:
+        SceneError: No time step satisfies the scene.
+    """
+    bodies = [expected_particles(scene, obj) for obj in scene.object]
+    spacings = [memory_estimate.spacing_of(scene, obj) for obj in scene.object]
+    dx = scene.domain.cell
+    for source in scene.inlet:
+        points = inlet_geometry.inlet_points(source, dx)
+        bodies.append(len(points) * layer_count(scene, source))
+        spacings.append(inlet_geometry.spacing(source, dx))
+    volumes = [n * spacing**3 for n, spacing in zip(bodies, spacings, strict=True)]
+    plan = make_plan(scene, bodies, volumes, any(obj.collider for obj in scene.object))
+    pace = ASSUMED_THROUGHPUT[scene.accuracy.precision]
+    seconds = predicted_seconds(scene, plan, ranks, pace)
+    if stop_steps:
+        dt = plan.fixed_dt or time_step_bounds(scene, plan)[0][0]
+        seconds *= min(1.0, stop_steps * dt / scene.time.end)
+    return seconds
+
+
+def expected_particles(scene: Scene, obj: Object) -> int:
+    """Return about how many particles an object will have; none if it is scenery.
+
+    Args:
+        scene: The scene.
+        obj: The object.
+    """
+    if obj.role != "body":
+        return 0
+    spacing = memory_estimate.spacing_of(scene, obj)
+    if obj.shape is not None:
+        return math.ceil(memory_estimate.approximate_particle_count(scene, obj))
+    domain = math.prod(scene.domain.size)
+    edge = obj.height or obj.width or obj.depth
+    volume = FILLED_DOMAIN * domain if edge is None else min(FILLED_CUBE * edge**3, domain)
+    return math.ceil(volume / spacing**3)

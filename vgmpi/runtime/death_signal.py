@@ -1,0 +1,23 @@
+"""End of a child with its parent, however the parent ends (Linux)."""
+
+import ctypes
+import signal
+from collections.abc import Callable
+
+_SET_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG
+
+
+def die_with_parent(number: signal.Signals) -> Callable[[], None]:
+    """Return a function for subprocess.Popen: the kernel signals the child when its parent dies.
+
+    Args:
+        number: The signal.
+    """
+    prctl = getattr(ctypes.CDLL(None), "prctl", None)
+
+    def arm() -> None:
+        """Ask the kernel for the signal; runs in the child."""
+        if prctl is not None:
+            prctl(_SET_DEATH_SIGNAL, int(number))
+
+    return arm
