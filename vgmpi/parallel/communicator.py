@@ -307,6 +307,15 @@ def _starts(counts: np.ndarray) -> np.ndarray:
     return np.concatenate([[0], np.cumsum(counts)[:-1]])
 
 
+def joined_ranks() -> int:
+    """Return the number of ranks that MPI joins; 1 without an MPI library."""
+    try:
+        from mpi4py import MPI
+    except (ImportError, RuntimeError):
+        return 1
+    return MPI.COMM_WORLD.Get_size()
+
+
 def init_communicator() -> SerialCommunicator:
     """Return the communicator of this run: MPI if there is an MPI library, else one rank.
 

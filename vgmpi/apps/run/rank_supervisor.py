@@ -22,6 +22,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from vgmpi.parallel.communicator import joined_ranks
 from vgmpi.parallel.launch import OPEN_MPI, SUPERVISOR_VARIABLE
 from vgmpi.runtime.death_signal import die_with_parent
 
@@ -276,7 +277,7 @@ def run_as_rank(name: str, main: Callable[[list[str]], int], words: list[str]) -
             os.dup2(descriptor, number)
             os.close(descriptor)
         code = ALONE
-        if _mpi_size() == int(count):
+        if joined_ranks() == int(count):
             try:
                 code = main(words)
             except KeyboardInterrupt:
@@ -285,12 +286,3 @@ def run_as_rank(name: str, main: Callable[[list[str]], int], words: list[str]) -
         with contextlib.suppress(OSError):  # the supervisor may have gone
             supervisor.sendall(bytes([code]))
     return 0
-
-
-def _mpi_size() -> int:
-    """Return the number of ranks that MPI sees."""
-    try:
-        from mpi4py import MPI
-    except (ImportError, RuntimeError):  # no MPI library
-        return 1
-    return MPI.COMM_WORLD.Get_size()
