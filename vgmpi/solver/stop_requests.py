@@ -24,6 +24,7 @@ class EndedBySignalError(SystemExit):
 
     def __init__(self, number: int):
         super().__init__(128 + number)
+        self.exit_code = 128 + number
         self.line = _line_of(number)
 
 

@@ -43,8 +43,8 @@ def main(argv: list[str] | None = None) -> int:
         except EndedBySignalError as end:
             log.error("%s", end.line)
             if ranks.size > 1:
-                ranks.abort(end.code)  # the others may wait for this one
-            return end.code
+                ranks.abort(end.exit_code)  # the others may wait for this one
+            return end.exit_code
 
 
 def is_run(args: argparse.Namespace) -> bool:

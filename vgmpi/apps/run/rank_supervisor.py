@@ -111,7 +111,7 @@ class _Listener:
         self.socket.listen(count)
         self.processes: dict[socket.socket, int] = {}
         self.codes: list[int] = []
-        self.seen = 0  # ranks that have ever connected
+        self.connected = 0  # ranks that have ever connected
 
     def receive(self, ready: list) -> None:
         """Take connections and exit codes from what is ready to be read."""
@@ -142,7 +142,7 @@ class _Listener:
             connection.close()
             return
         self.processes[connection] = process
-        self.seen += 1
+        self.connected += 1
 
     def close(self) -> None:
         """Close all connections."""
@@ -206,11 +206,11 @@ class _Supervisor:
         end = os.pidfd_open(self.process.pid)
         try:
             while True:
-                left = self.deadline - time.monotonic()
-                if left <= 0:
+                remaining = self.deadline - time.monotonic()
+                if remaining <= 0:
                     self._end_mpirun()
                 watched: list[Any] = [end, self.listener.socket, *self.listener.processes]
-                ready = select.select(watched, [], [], min(max(left, 0.0), 0.5))[0]
+                ready = select.select(watched, [], [], min(max(remaining, 0.0), 0.5))[0]
                 self.listener.receive(ready)
                 if any(self.listener.codes):
                     self._end_rest_soon()
@@ -247,16 +247,16 @@ class _Supervisor:
             return max(listener.codes)
         if self.received:
             number = self.received[-1]
-            if listener.seen < listener.count:  # else they have said it
+            if listener.connected < listener.count:  # else they have said it
                 log.error("%s before the ranks had begun", signal.Signals(number).name)
             return 128 + number
-        if listener.seen < listener.count:
+        if listener.connected < listener.count:
             lines = [line for line in messages.splitlines() if line.strip(" -")]
             raise LaunchError(f"mpirun starts no ranks: {' '.join(lines[:3]) or f'code {code}'}")
         if code < 0 or code > 128:
             number = -code if code < 0 else code - 128
-            known = number in set(signal.Signals)
-            name = signal.Signals(number).name if known else f"signal {number}"
+            has_name = number in set(signal.Signals)
+            name = signal.Signals(number).name if has_name else f"signal {number}"
             log.error("a rank was ended by %s; all ranks end", name)
             return 128 + number
         return code or 1

@@ -91,8 +91,8 @@ def _choose(args: argparse.Namespace, cores: int, free: FreeCores) -> CoreChoice
     choice = choose_ranks(scene, cores, args.stop_steps, args.stop_seconds)
     if choice.ranks == 1:
         return choice
-    left = max(1, math.floor(min(free.measure() + FREE_MARGIN, cores)))
-    if left >= choice.ranks:
+    usable = max(1, math.floor(min(free.measure() + FREE_MARGIN, cores)))
+    if usable >= choice.ranks:
         return choice
     hint = f"other programs use the rest (--ranks {choice.ranks} takes them all the same)"
-    return CoreChoice(left, hint)
+    return CoreChoice(usable, hint)
