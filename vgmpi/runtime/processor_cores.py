@@ -70,11 +70,11 @@ def _allowed() -> list[int]:
 
 def _quota() -> float:
     """Return the processor time per time that control groups grant; infinity if all."""
-    least = math.inf
+    granted = math.inf
     try:
         lines = _OWN.read_text().splitlines()
     except OSError:
-        return least
+        return granted
     for line in lines:
         _, controllers, path = line.split(":", 2)
         is_second = not controllers
@@ -89,7 +89,7 @@ def _quota() -> float:
                     limit = (group / "cpu.cfs_quota_us").read_text().strip()
                     period = (group / "cpu.cfs_period_us").read_text().strip()
                 if limit not in ("max", "-1"):
-                    least = min(least, int(limit) / int(period))
+                    granted = min(granted, int(limit) / int(period))
             except (OSError, ValueError, ZeroDivisionError):
                 pass  # missing or not readable
-    return least
+    return granted
