@@ -1,7 +1,11 @@
 """Compiled code on disk: damage is seen, and a folder that cannot be written is done without."""
 
 import logging
+import os
 import random
+import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -172,3 +176,26 @@ def test_the_folder_is_the_users_unless_numba_has_one(monkeypatch, tmp_path):
     monkeypatch.setattr(numba.config, "CACHE_DIR", "")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert compile_cache.cache_folder() == tmp_path / "vgmpi" / "compiled"
+
+
+def test_who_waits_says_for_whom(tmp_path, monkeypatch, caplog):
+    """Of a stopped process, how it goes on; on every rank, since others wait for one that waits."""
+    monkeypatch.setattr(compile_lock, "ANNOUNCE_SECONDS", 0.05)
+    monkeypatch.setattr(compile_lock, "PATIENCE", 0.3)
+    path = tmp_path / "kernel-0123.nbc"
+    code = (
+        "import sys; from pathlib import Path; from vgmpi.runtime.compile_lock import FileLock\n"
+        f"print(FileLock(Path({str(path)!r})).acquire(), flush=True); sys.stdin.read()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as holder:
+        assert holder.stdout.readline() == "True\n"
+        os.kill(holder.pid, signal.SIGSTOP)
+        os.waitid(os.P_PID, holder.pid, os.WSTOPPED)
+        with caplog.at_level(compile_lock.ON_EVERY_RANK, "vgmpi"):
+            assert not compile_lock.FileLock(path).acquire()
+        os.kill(holder.pid, signal.SIGCONT)
+        holder.stdin.close()
+    wanted = f"waits for process {holder.pid}, which compiles kernel: 0 s so far, at most 0 s"
+    assert caplog.messages[0] == f"{wanted}; it is stopped: kill -CONT {holder.pid}"
