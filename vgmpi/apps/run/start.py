@@ -74,8 +74,8 @@ def _run_on_given_ranks(args: argparse.Namespace, words: list[str]) -> int:
 def _choose(args: argparse.Namespace, cores: int, free: FreeCores) -> CoreChoice:
     """Return the choice of ranks for a run; one rank where its scene has errors.
 
-    Ranks that share cores with other programs wait for each other at every step: two ranks were
-    ten times slower than one on two cores with a load of five. So only free cores are taken.
+    Ranks that share cores with other programs wait for each other at every step: two ranks
+    took many times as long as one on two busy cores. So only free cores are taken.
 
     Args:
         args: Flags of the run.
