@@ -196,8 +196,8 @@ def _check_arguments(args: argparse.Namespace) -> None:
         message = f"{args.settings}: is a folder; the folder of the run comes first"
         raise image_io.VideoError(f"{message}: vgmpi render {args.settings} {args.out}")
     if not Path(args.settings).exists():
-        found = render_config.find_settings(Path(args.out))
-        hint = f"; there is {found}" if found else "; without it, the defaults are used"
+        settings = render_config.find_settings(Path(args.out))
+        hint = f"; there is {settings}" if found else "; without it, the defaults are used"
         raise image_io.VideoError(f"{args.settings}: no such file{hint}")
 
 

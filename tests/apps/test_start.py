@@ -9,7 +9,7 @@ from vgmpi.apps.run import cli, rank_supervisor, start
 from vgmpi.apps.run.core_choice import choose_ranks, expected_particles, predicted_run_seconds
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.launch import describe_stop, launched_by
-from vgmpi.planning.cost.plan_report import predicted_seconds
+from vgmpi.planning.cost.run_estimate import predicted_seconds
 from vgmpi.planning.cost.throughput import ASSUMED_THROUGHPUT
 from vgmpi.runtime import processor_cores
 from vgmpi.scene.loader import load

@@ -115,11 +115,11 @@ def _command(args: argparse.Namespace, ranks: SerialCommunicator) -> int:
         from vgmpi.solver.estimates.pilot_run import pilot_run, pilot_seconds
 
         pace = calibration.host_throughput(scene.accuracy.precision, remeasure=args.calibrate)
-        most = POURING_PILOT_SECONDS if pours_onto_bodies(scene, plan) else PILOT_SECONDS
-        is_short = start_time == 0 and pilot_seconds(scene, plan, pace) < most
+        longest = POURING_PILOT_SECONDS if pours_onto_bodies(scene, plan) else PILOT_SECONDS
+        is_short = start_time == 0 and pilot_seconds(scene, plan, pace) < longest
         is_quick = is_short and is_compiled(plan)
         is_wanted = args.pilot or is_quick
-        limit = math.inf if args.pilot else most  # estimates may be wrong
+        limit = math.inf if args.pilot else longest  # estimates may be wrong
         pilot = pilot_run(scene, plan, summary, not args.pilot, limit) if is_wanted else None
         print(format_plan(scene, plan, ranks.size, start_time, pace, pilot, args.verbose))
         if args.engine == "cuda":

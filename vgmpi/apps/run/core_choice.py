@@ -3,9 +3,9 @@
 import math
 from typing import NamedTuple
 
-from vgmpi.planning.cost.plan_report import predicted_seconds
+from vgmpi.planning.cost.run_estimate import predicted_seconds
 from vgmpi.planning.cost.throughput import ASSUMED_THROUGHPUT
-from vgmpi.planning.inlet_schedule import layer_count
+from vgmpi.planning.inlet_schedule import particle_count
 from vgmpi.planning.plan import make_plan, time_step_bounds
 from vgmpi.preprocess import memory_estimate
 from vgmpi.runtime.config.schema import SceneError
@@ -13,10 +13,10 @@ from vgmpi.scene import inlet_geometry
 from vgmpi.scene.objects import Object
 from vgmpi.scene.scene import Scene
 
-START_SECONDS = 2.0  # [s] by which ranks start later than one process, measured on two cores
+START_SECONDS = 2.0  # [s] by which ranks are assumed to start later than one process
 MIN_GAIN = 0.9  # [-] of the time on one rank, above which ranks are not worth it
 # A file's body is not read for this. Shares of the cube over a given height, and of the domain
-# where only a scale is given, that captures and meshes fill: a factor of 3 off at most in runs/.
+# where only a scale is given, that captures and meshes are assumed to fill.
 FILLED_CUBE, FILLED_DOMAIN = 0.3, 0.05
 
 
@@ -74,8 +74,7 @@ def predicted_run_seconds(scene: Scene, ranks: int, stop_steps: int = 0) -> floa
     spacings = [memory_estimate.spacing_of(scene, obj) for obj in scene.object]
     dx = scene.domain.cell
     for source in scene.inlet:
-        points = inlet_geometry.inlet_points(source, dx)
-        bodies.append(len(points) * layer_count(scene, source))
+        bodies.append(particle_count(scene, source))
         spacings.append(inlet_geometry.spacing(source, dx))
     volumes = [n * spacing**3 for n, spacing in zip(bodies, spacings, strict=True)]
     plan = make_plan(scene, bodies, volumes, any(obj.collider for obj in scene.object))

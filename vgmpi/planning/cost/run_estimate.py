@@ -38,7 +38,15 @@ def predicted_seconds(
 def step_seconds(
     scene: Scene, plan: Plan, ranks: int, pace: Throughput, pilot: PilotRun | None
 ) -> float:
-    """Return the mean time [s] of a step."""
+    """Return the mean time [s] of a step.
+
+    Args:
+        scene: The scene.
+        plan: Its plan.
+        ranks: Number of ranks.
+        pace: Throughput of the processors.
+        pilot: Result of a pilot run.
+    """
     if pilot is None:
         ns = step_ns(scene, replace(plan, count=mean_counts(plan)), pace)
     else:

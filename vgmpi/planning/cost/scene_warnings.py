@@ -14,10 +14,12 @@ from .run_estimate import step_count
 from .timestep_advice import POWERS, UNITS, rigid_clause, soft_liquid_lines, stiffness_key
 
 MAX_SPEED_RATIO = 4.0  # [-] speed that a liquid is stiff enough for over the largest expected
-MIN_STEPS_SAVED = 2.0  # [-] steps over those without a cause, from which a stiff liquid is told
+MIN_STEPS_SAVED = 2.0  # [-] steps over those without a cause, from which a stiff liquid is reported
 MAX_STEP_RATIO = 10.0  # [-] the same for a stiff solid
-MANY_STEPS = 1_000_000  # steps of a run from which they are told in any case
-THIN_CELLS = 6  # [cells] thickness below which a body is told; contact reaches a cell on each side
+MANY_STEPS = 1_000_000  # steps of a run from which they are reported in any case
+THIN_CELLS = (
+    6  # [cells] thickness below which a body is reported; contact reaches a cell on each side
+)
 
 
 def warning_lines(scene: Scene, plan: Plan) -> list[str]:
@@ -93,7 +95,7 @@ def _steps(scene: Scene, plan: Plan) -> list[str]:
     bounds = time_step_bounds(scene, plan)
     dt, cause = (plan.fixed_dt, "time.dt") if plan.fixed_dt else bounds[0]
     count = step_count(plan, dt, 0.0)
-    told = f"about {count:,} steps of {dt:.2g} s, set by {escape_control_characters(cause)}"
+    reason = f"about {count:,} steps of {dt:.2g} s, set by {escape_control_characters(cause)}"
     solids = {f"material {n!r}": n for n, m in scene.material.items() if m.family == "solid"}
     others = [bound for bound, other in bounds if other != cause]
     times = others[0] / dt if others else 1.0
@@ -101,11 +103,11 @@ def _steps(scene: Scene, plan: Plan) -> list[str]:
     if name is not None and times >= MAX_STEP_RATIO:
         key = stiffness_key(scene.material[name])
         return [
-            f"{told}: {times:.0f} times as many as without it, by"
+            f"{reason}: {times:.0f} times as many as without it, by"
             f" {scene.place(('material', name, key))} = {getattr(scene.material[name], key):.2g}"
             f" {UNITS[key]}{rigid_clause(scene, plan, name)}"
         ]
-    return [told] if count >= MANY_STEPS else []
+    return [reason] if count >= MANY_STEPS else []
 
 
 def _free_slip(scene: Scene) -> list[str]:
