@@ -197,7 +197,7 @@ def _check_arguments(args: argparse.Namespace) -> None:
         raise image_io.VideoError(f"{message}: vgmpi render {args.settings} {args.out}")
     if not Path(args.settings).exists():
         settings = render_config.find_settings(Path(args.out))
-        hint = f"; there is {settings}" if found else "; without it, the defaults are used"
+        hint = f"; there is {settings}" if settings else "; without it, the defaults are used"
         raise image_io.VideoError(f"{args.settings}: no such file{hint}")
 
 
