@@ -256,6 +256,63 @@ def test_a_run_of_two_precisions_is_told_and_a_scene_is_written(tmp_path, capsys
     assert 0 < mass_displacement(other, one) < 1e-4
 
 
+def test_a_table_so_far_follows_each_run(tmp_path, capsys):
+    """Its errors are relative to the finest run so far; --quick makes three runs."""
+    path = write(tmp_path, SCENE.replace("end = 0.05", "end = 0.02").replace("double", "single"))
+    flags = [str(path), "-o", str(tmp_path / "study"), "--quick"]
+    assert setting_study.main(flags) == 0
+    told = capsys.readouterr()
+    assert [dict(s.knobs) for s in parameter_sweep.quick_sweep(load(path))[0]] == (
+        [{"cells": "12"}, {}, {"cells": "24"}]
+    )
+    first, second = told.err.split("so far, ")[1:]
+    assert first.startswith("1 of 3 runs, compared with the finest of them (cells-12)\n")
+    assert second.startswith("2 of 3 runs, compared with the finest of them (baseline)\n")
+    assert re.search(r"\| cells 12 \| [\d.]+ s \| held to \|", first)
+    assert re.search(r"\| the scene \| [\d.]+ s \| held to \|", second)
+    found = re.search(r"\| cells 12 \| [\d.]+ s \| ([\d.e-]+) % \|", second)
+    one, other = (RunOutcome(tmp_path / "study" / n) for n in ("cells-12", "baseline"))
+    assert float(found[1]) > 0
+    assert float(found[1]) == pytest.approx(100 * mass_displacement(one, other), rel=5e-3)
+    # the table at the end is alone on standard output, and of all runs
+    assert "so far" not in told.out and re.search(r"\| cells 24 \| .* \| held to \|", told.out)
+    # a call that finds all runs has nothing new to tell
+    assert setting_study.main(flags) == 0
+    assert "so far" not in capsys.readouterr().err
+
+
+def test_a_table_so_far_measures_no_run_twice(tmp_path, block, monkeypatch):
+    settings, finest = parameter_sweep.sweep(block, DEFAULT[:3])
+    args = setting_study.parse_arguments([str(tmp_path / "scene.toml")])
+    asked = []
+
+    def error_function(study, args, reference):
+        return lambda setting: asked.append((setting.name, reference.name)) or 0.0
+
+    monkeypatch.setattr(setting_study, "error_function", error_function)
+    interim = setting_study.InterimTable(Study(block, tmp_path), args, finest, len(settings))
+    for count in range(1, len(settings) + 1):
+        lines = interim.lines(dict.fromkeys(settings[:count], 1.0))
+        assert sum(line.endswith((" best |", "|  |")) for line in lines) == count
+    assert len(set(asked)) == len(asked)
+    # single and other transfers at the scene's own cells replace no reference
+    assert list(dict.fromkeys(reference for _, reference in asked)) == (
+        ["cells-8", "cells-12", "baseline", "cells-24"]
+    )
+
+
+def test_quick_needs_other_cells_that_divide_the_domain(tmp_path, capsys):
+    text = SCENE.replace("[0.32, 0.16, 0.24]", "[0.34, 0.22, 0.26]").replace(
+        "0.1, 0.16", "0.1, 0.2"
+    )
+    assert setting_study.main([str(write(tmp_path, text)), "--quick"]) == 2
+    said = capsys.readouterr().err
+    assert (
+        "scene.toml:6: domain.cell" in said
+        and "as --quick requires: its 17 x 11 x 13 cells have" in said
+    )
+
+
 def test_an_array_of_jobs_shares_the_runs(tmp_path, monkeypatch):
     """slurm/study.sbatch, where every run is noted and none is made."""
     path, ran = write(tmp_path, SCENE), []
@@ -320,6 +377,7 @@ def test_mass_that_is_elsewhere_is_counted(tmp_path, monkeypatch):
         (["--error", "0"], "must be > 0"),
         (["--curve", "a.csv"], "go together"),
         (["--run"], "is for --budget and --error"),
+        (["--quick", "--vary", "cfl"], "give --quick or --vary"),
         (["--part", "3/2"], "K from 1 to N"),
         (["--part", "two"], "K from 1 to N"),
     ],

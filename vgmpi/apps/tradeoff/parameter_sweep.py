@@ -48,16 +48,21 @@ class Setting:
 BASELINE = Setting((), ())
 
 
-def cells(scene: Scene) -> list[int]:
+def cells(scene: Scene, coarser: int = COARSER_STEPS, finer: int = FINER_STEPS) -> list[int]:
     """Return cell counts along the longest edge, ascending, in steps of about sqrt(2).
 
     They lie around the scene's own count and fit a whole number of cells on every edge.
+
+    Args:
+        scene: The scene.
+        coarser: Steps to larger cells than the scene's.
+        finer: Steps to smaller cells.
     """
     own, unit = scene.domain.cells, cell_unit(scene)
     longest = max(own)
     min_cells = max(unit, unit * -(-MIN_CELLS * longest // (min(own) * unit)))
     counts = {longest}
-    for k in range(-COARSER_STEPS, FINER_STEPS + 1):
+    for k in range(-coarser, finer + 1):
         count = unit * round(longest * REFINEMENT**k / unit)
         if count >= min_cells:
             counts.add(count)
@@ -183,6 +188,25 @@ def _colors(scene: Scene) -> list[Setting]:
         return [Setting((("colors", "step"),), ("appearance.color_transfer=step",))]
     degrees = [d for d in COLOR_DEGREES if d != look.color_sh_degree]
     return [Setting((("colors", f"{d}"),), (f"appearance.color_sh_degree={d}",)) for d in degrees]
+
+
+def quick_sweep(scene: Scene) -> tuple[list[Setting], Setting]:
+    """Return the scene between one coarser and one finer run, and the finer one.
+
+    Raises:
+        SceneError: No such cell size divides every edge of the domain.
+    """
+    own = max(scene.domain.cells)
+    counts = cells(scene, coarser=1, finer=1)
+    if counts[0] == own or counts[-1] == own:
+        missing = "larger" if counts[0] == own else "smaller"
+        message = (
+            f"no cell size that is {missing} by about sqrt(2) divides every edge of the domain, as"
+            f" --quick requires: its {' x '.join(map(str, scene.domain.cells))} cells have too"
+            " small a common divisor; change domain.size"
+        )
+        raise scene.error([(("domain", "cell"), message)])
+    return [grid(scene, count) for count in counts], grid(scene, counts[-1])
 
 
 def sweep(scene: Scene, vary: tuple[str, ...]) -> tuple[list[Setting], Setting]:

@@ -8,6 +8,7 @@ import argparse
 import re
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
@@ -59,8 +60,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--vary",
-        default=",".join(DEFAULT),
-        help=f"settings to vary, any of {', '.join(parameter_sweep.PARAMETERS)}",
+        help=f"settings to vary, any of {', '.join(parameter_sweep.PARAMETERS)}"
+        f" [{','.join(DEFAULT)}]",
+    )
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help="only the scene, one run with larger and one with smaller cells",
     )
     parser.add_argument("--ranks", type=int, default=1, help="MPI ranks of each run")
     parser.add_argument("--measure", choices=list(MEASURES), default="places", help=_measures())
@@ -94,7 +100,10 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
     """Parse the command line."""
     parser = _parser()
     args = parser.parse_args(argv)
-    words = [word.strip() for word in args.vary.split(",") if word.strip()]
+    if args.quick and args.vary is not None:
+        parser.error("--quick varies the cells alone: give --quick or --vary")
+    vary = ",".join(DEFAULT) if args.vary is None else args.vary
+    words = [word.strip() for word in vary.split(",") if word.strip()]
     args.vary = tuple(parameter_sweep.OLD_PARAMETERS.get(word, word) for word in words)
     unknown = [word for word in args.vary if word not in parameter_sweep.PARAMETERS]
     if unknown:
@@ -137,20 +146,18 @@ def main(argv: list[str]) -> int:
     try:
         scene = load(args.scene, args.set)
         study = Study(scene, args.output, args.ranks)
-        settings, finest = parameter_sweep.sweep(scene, args.vary)
+        if args.quick:
+            settings, finest = parameter_sweep.quick_sweep(scene)
+        else:
+            settings, finest = parameter_sweep.sweep(scene, args.vary)
         args.output.mkdir(parents=True, exist_ok=True)
         if args.part:
             study.all(settings[args.part[0] - 1 :: args.part[1]], set())
             return 0
-        cpu_times = study.all(settings, {parameter_sweep.BASELINE, finest})
+        interim = InterimTable(study, args, finest, len(settings))
+        cpu_times = study.all(settings, {parameter_sweep.BASELINE, finest}, interim.lines)
         error_of = error_function(study, args, finest)
-        own_cells = max(scene.domain.cells)
-        results = [
-            CostError(
-                setting, cpu, error_of(setting), int(dict(setting.knobs).get("cells", own_cells))
-            )
-            for setting, cpu in cpu_times.items()
-        ]
+        results = measure(scene, cpu_times, error_of)
     except SceneError as error:
         print("\n".join(error.lines), file=sys.stderr)
         return 2
@@ -177,8 +184,59 @@ def error_function(
         return lambda setting: error_measures.curve(
             study.outcome(setting), args.column, times, values
         )
-    reference, measure = study.outcome(finest), MEASURES[args.measure]
-    return lambda setting: 0.0 if setting == finest else measure(study.outcome(setting), reference)
+    reference, distance = study.outcome(finest), MEASURES[args.measure]
+    return lambda setting: 0.0 if setting == finest else distance(study.outcome(setting), reference)
+
+
+def measure(
+    scene: Scene, cpu_times: dict[Setting, float], error_of: Callable[[Setting], float]
+) -> list[CostError]:
+    """Return cost and error of runs.
+
+    Args:
+        scene: The scene.
+        cpu_times: Processor time [s] of each run.
+        error_of: Function that measures the error of a setting.
+    """
+    return [
+        CostError(setting, cpu, error_of(setting), _cell_count(scene, setting))
+        for setting, cpu in cpu_times.items()
+    ]
+
+
+def _cell_count(scene: Scene, setting: Setting) -> int:
+    """Return the cells along the longest edge in a run."""
+    return int(dict(setting.knobs).get("cells", max(scene.domain.cells)))
+
+
+@dataclass
+class InterimTable:
+    """Table of the runs so far, whose errors are relative to the finest of them."""
+
+    study: Study
+    args: argparse.Namespace  # command line
+    finest: Setting  # of all runs
+    count: int  # of all runs
+    reference: Setting | None = None  # that `errors` are relative to
+    errors: dict[Setting, float] = field(default_factory=dict)  # [-] of the runs so far
+
+    def lines(self, cpu_times: dict[Setting, float]) -> list[str]:
+        """Return the lines of the table, given the processor times [s] so far."""
+        scene, knobs = self.study.scene, set(self.finest.knobs)
+        reference = max(
+            cpu_times, key=lambda s: (_cell_count(scene, s), len(knobs.intersection(s.knobs)))
+        )
+        if reference != self.reference and not self.args.curve:
+            self.reference, self.errors = reference, {}
+        if missing := cpu_times.keys() - self.errors.keys():
+            error_of = error_function(self.study, self.args, reference)
+            self.errors |= {setting: error_of(setting) for setting in missing}
+        results = measure(scene, cpu_times, self.errors.__getitem__)
+        name = "curve" if self.args.curve else self.args.measure
+        head = f"so far, {len(cpu_times)} of {self.count} runs"
+        if not self.args.curve and reference != self.finest:
+            head += f", compared with the finest of them ({reference.name})"
+        return ["", head, *tradeoff_report.table(results, reference, LABELS[name]), ""]
 
 
 def _write_choice(

@@ -6,6 +6,7 @@ import os
 import resource
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -78,11 +79,22 @@ class Study:
             replace_file(self.place(setting) / RECORD, json.dumps(record))
         return cpu_time
 
-    def all(self, settings: list[Setting], needed: set[Setting]) -> dict[Setting, float]:
+    def all(
+        self,
+        settings: list[Setting],
+        needed: set[Setting],
+        report: Callable[[dict[Setting, float]], list[str]] = lambda _: [],
+    ) -> dict[Setting, float]:
         """Return the processor time [s] of all settings, with a progress bar.
 
         Runs that fail, such as bodies too near to open walls in coarse cells, are reported and
         skipped.
+
+        Args:
+            settings: Settings to run.
+            needed: Settings without which there is no result.
+            report: Function that returns the lines to print after a run, given the processor times
+            [s] so far. It is not called for runs of an earlier call, nor for the last one.
 
         Raises:
             StudyError: A needed run fails.
@@ -91,6 +103,7 @@ class Study:
         cpu_times: dict[Setting, float] = {}
         for setting in bar:
             bar.set_postfix_str(setting.name)
+            is_old = self.done(setting) is not None
             try:
                 cpu_times[setting] = self.run(setting)
                 if bar.disable:  # no terminal: a line per run
@@ -101,6 +114,9 @@ class Study:
                 if setting in needed:
                     raise
                 bar.write(f"left out: {error}", file=sys.stderr)
+                continue
+            if not is_old and setting != settings[-1] and (lines := report(cpu_times)):
+                bar.write("\n".join(lines), file=sys.stderr)
         return cpu_times
 
     def _startup_time(self, setting: Setting) -> float:
