@@ -1,5 +1,6 @@
 """Pinned parts have the same bits in every file for any number of ranks and threads, and after a
-restart: parts that the world, a collider that turns and a rigid body in water hold."""
+restart: parts that the world, a collider that turns and a rigid body in water hold, also across
+regions of other materials."""
 
 import pytest
 
@@ -25,6 +26,10 @@ kind = "elastic"
 density = 1100
 youngs_modulus = "100 kPa"
 friction = 0.3
+[material.gum]
+kind = "elastic"
+density = 1500
+youngs_modulus = "60 kPa"
 """
 COLLIDERS = """
 [[object]]
@@ -46,6 +51,7 @@ pinned = [
   { box = [[0.19, 0.05, 0.03], [0.25, 0.11, 0.07]], motion = { velocity = [1, 0, 0] } },
   { box = [[0.19, 0.05, 0.175], [0.25, 0.11, 0.21]] },
 ]
+region = [{ material = "gum", box = [[0.22, 0, 0], [0.3, 0.2, 0.1]] }]
 [[probe]]
 name = "grip"
 sampling_rate = 100
@@ -78,6 +84,7 @@ material = "rubber"
 shape = { box = [["13 cm", "6 cm", "10 cm"], ["17 cm", "10 cm", "21 cm"]] }
 velocity = [0, 0, -1]
 pinned = { box = [["12 cm", "5 cm", "9 cm"], ["18 cm", "11 cm", "13.5 cm"]], to = "pot" }
+region = [{ material = "gum", box = [[0, 0, 0], ["32 cm", "8 cm", "16 cm"]] }]
 """
 SCENES = {"colliders": ROOM + COLLIDERS.replace("AXLE", AXLE), "body": ROOM + BODY}
 

@@ -49,7 +49,8 @@ collider = "beam"
 
 def pinned_ids(made) -> np.ndarray:
     """Ids of the particles of the first pinned part."""
-    return np.concatenate([np.arange(a, b + 1) for a, b in made.pinned[0].runs])
+    runs = np.concatenate([share.runs for share in made.pinned[0].shares])
+    return np.concatenate([np.arange(a, b + 1) for a, b in runs])
 
 
 def sag_over_theory(folder, edge: float) -> tuple[float, float, float]:
@@ -203,9 +204,28 @@ def momenta(simulation) -> tuple[float, np.ndarray, np.ndarray]:
     return sum(r["mass"] for r in rows), sums[0] + sums[1], sums[2] + sums[3]
 
 
-@pytest.mark.parametrize("gravity", [0.0, -9.0])
-def test_a_tree_in_a_pot_has_the_momentum_of_both(tmp_path, gravity):
-    simulation, made = begin(tmp_path, POT.format(gravity=gravity))
+# the pinned part, up to 0.18 m, holds all of the foot, and of root and wood a part each
+REGIONS = """
+region = [
+  { material = "foot", box = [[0, 0, 0], [1, 1, 0.16]] },
+  { material = "root", box = [[0.16, 0, 0.16], [1, 1, 0.21]] },
+]
+[material.foot]
+kind = "elastic"
+density = 2400
+youngs_modulus = 4e5
+[material.root]
+kind = "elastic"
+density = 1200
+youngs_modulus = 1e5
+"""
+
+
+@pytest.mark.parametrize(
+    ("gravity", "regions"), [(0.0, ""), (-9.0, ""), (0.0, REGIONS), (-9.0, REGIONS)]
+)
+def test_a_tree_in_a_pot_has_the_momentum_of_both(tmp_path, gravity, regions):
+    simulation, made = begin(tmp_path, POT.format(gravity=gravity) + regions)
     mass, linear, angular = momenta(simulation)
     held_mass, body = made.pinned[0].masses.mass, simulation.bodies.bodies
     pot = 1800 * 0.08 * 0.08 * 0.06
@@ -214,6 +234,8 @@ def test_a_tree_in_a_pot_has_the_momentum_of_both(tmp_path, gravity):
     advance(simulation, 0.08)
     later, linear_later, angular_later = momenta(simulation)
     assert later == pytest.approx(mass, rel=1e-13)
+    section = 0.04 * (600 * 0.04 + bool(regions) * (1800 * 0.02 * 0.04 / 0.04 + 600 * 0.02 / 2))
+    assert held_mass == pytest.approx(0.04 * section, rel=1e-12)
     free = body.mass[0] + mass - held_mass
     expected = linear + free * simulation.time * np.array([0, 0, gravity])
     scale = np.abs(expected).max()

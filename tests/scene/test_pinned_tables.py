@@ -66,10 +66,6 @@ WRONG = [
      f"{KEY}: release_time and pinned given at once"),
     (MATERIAL, 'material = "rubber"\nvolume_fraction = 0.5\nshape',
      f"{KEY}: volume_fraction and pinned given at once"),
-    ('[[object]]\nname = "wall"',
-     "[[object.region]]\nbox = [[0, 0, 0], [1, 1, 0.09]]\nmaterial = 'gum'\n"
-     '[material.gum]\nkind = "elastic"\nyoungs_modulus = 2e5\n[[object]]\nname = "wall"',
-     f"{KEY}: is not for bodies with [[object.region]]"),
     ("apic-corrected", "flip", f'{KEY}: is not for accuracy.transfer = "flip"'),
     (BOX, "{ ", f"{KEY}: has no form: give one of box, sphere"),
     (BOX, BOX + "sphere = { center = [0, 0, 0], radius = 1 }, ", f"{KEY}: has box and sphere"),
@@ -191,11 +187,12 @@ def test_parts_regions_and_thin_walls_have_groups_of_their_own(tmp_path, more):
     simulation, made = begin(tmp_path, BESIDE + more)
     plan = simulation.plan
     (part,), (region,) = plan.pins, plan.regions
-    assert plan.groups[part.group].pinned and not plan.groups[region.group].pinned
+    (group,) = part.groups
+    assert plan.groups[group].pinned and not plan.groups[region.group].pinned
     assert plan.groups[region.group].material == "rubber"
     counts = [group.count.sum() for group in simulation.groups]
-    assert counts[part.group] == part.region.count and sum(counts) == len(made.x)
+    assert counts[group] == part.region.count and sum(counts) == len(made.x)
     advance(simulation, 2e-3)
     (x,) = by_id(simulation, "x")
-    held = groups_of_particles(plan, np.arange(len(x)), made.object) == part.group
+    held = groups_of_particles(plan, np.arange(len(x)), made.object) == group
     assert (x[held] == made.x[held]).all() and not (x[~held] == made.x[~held]).all()

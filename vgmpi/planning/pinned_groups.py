@@ -16,7 +16,7 @@ class PinnedPlan(NamedTuple):
     """Pinned part of a body."""
 
     object: int  # row of the body
-    group: int  # of its particles
+    groups: tuple[int, ...]  # of its particles, one for each of `region.shares`
     phase: int  # of the body
     region: Any  # preprocess/pinned_regions.py
 
@@ -36,12 +36,15 @@ def pinned_plans(
     """
     plans, every = [], list(groups)
     for region in regions:
-        free = groups[group_of[region.object]]
-        name = f"{region.name} (pinned to {region.to})/{free.material}"
-        plans.append(PinnedPlan(region.object, len(every), free.phase, region))
+        phase = groups[group_of[region.object]].phase
+        numbers = tuple(range(len(every), len(every) + len(region.shares)))
+        plans.append(PinnedPlan(region.object, numbers, phase, region))
         is_moving = region.is_free or region.course is not None
         cost = MOVING_PINNED_COST if is_moving else PINNED_COST
-        every.append(free._replace(name=name, pinned=True, cost=cost))
+        for share in region.shares:
+            free = next(g for g in groups if (g.phase, g.material) == (phase, share.material))
+            name = f"{region.name} (pinned to {region.to})/{free.material}"
+            every.append(free._replace(name=name, pinned=True, cost=cost))
     return tuple(plans), tuple(every)
 
 
@@ -54,6 +57,6 @@ def set_pinned_groups(pins: Sequence[PinnedPlan], ids: np.ndarray, groups: np.nd
         groups: Their groups (in/out), shape (n,).
     """
     for part in pins:
-        runs = part.region.runs
-        run = np.searchsorted(runs[:, 0], ids, side="right") - 1
-        groups[(run >= 0) & (ids <= runs[run, 1])] = part.group
+        for group, share in zip(part.groups, part.region.shares, strict=True):
+            run = np.searchsorted(share.runs[:, 0], ids, side="right") - 1
+            groups[(run >= 0) & (ids <= share.runs[run, 1])] = group

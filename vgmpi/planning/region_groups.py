@@ -47,7 +47,11 @@ def group_counts(plan: "Plan") -> list[tuple[int, int]]:
     """
     counts = list(plan.count)
     parts = [(region.thing, region.particles, region.group) for region in plan.regions]
-    parts += [(part.object, part.region.count, part.group) for part in plan.pins]
+    parts += [
+        (part.object, share.particles, group)
+        for part in plan.pins
+        for group, share in zip(part.groups, part.region.shares, strict=True)
+    ]
     for number, particles, _ in parts:
         counts[number] -= particles
     own = list(zip(counts, plan.group_of, strict=True))

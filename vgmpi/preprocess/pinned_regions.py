@@ -2,6 +2,7 @@
 
 import logging
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,6 +22,14 @@ BURIED_CELLS = 0.5  # [cells] depth in what holds a part beyond which other part
 UNRELATED_CELLS = 2.0  # [cells] distance from what holds it beyond which a part is warned of
 
 
+class PinnedShare(NamedTuple):
+    """Particles of one material in a pinned part."""
+
+    material: str
+    runs: np.ndarray  # (m, 2) runs of the particles' ids, first and last, ascending
+    particles: int  # number of them
+
+
 @dataclass(frozen=True)
 class PinnedRegion:
     """Pinned part of a body; all ranks hold the same.
@@ -35,8 +44,7 @@ class PinnedRegion:
     holder: int  # number of the collider or rigid body that holds it, -1 for the world
     is_free: bool  # a free rigid body holds it
     shape: PinnedPart
-    runs: np.ndarray  # (m, 2) runs of the particles' ids, first and last, ascending
-    count: int  # particles
+    shares: tuple[PinnedShare, ...]  # its particles by material
     box: np.ndarray  # (2, 3) [m] lower and upper corner of the particles
     masses: RigidBody  # its mass, center of mass and inertia
     first: np.ndarray  # (3,) first cell of `close`
@@ -44,6 +52,11 @@ class PinnedRegion:
     dx: float  # [m] cell size
     course: Trajectory | None = None  # its motion, if it is prescribed
     body: None = None  # it is no free body itself
+
+    @property
+    def count(self) -> int:
+        """Return the number of its particles."""
+        return sum(share.particles for share in self.shares)
 
     def ends(self) -> tuple[np.ndarray, np.ndarray]:
         """Return lower and upper corner (3,) [m] of a box that contains its particles."""
@@ -60,7 +73,12 @@ class PinnedRegion:
 
 
 def resolve_pinned_parts(
-    scene: Scene, x: np.ndarray, vol0: np.ndarray, owner: np.ndarray, colliders: list
+    scene: Scene,
+    x: np.ndarray,
+    vol0: np.ndarray,
+    owner: np.ndarray,
+    objects: list[dict],
+    colliders: list,
 ) -> list[PinnedRegion]:
     """Return the pinned parts of a scene with their particles.
 
@@ -69,6 +87,7 @@ def resolve_pinned_parts(
         x: Particles at the start in the order of their ids, shape (n, 3) [m].
         vol0: Rest volumes, shape (n,) [m3].
         owner: Object of each particle, shape (n,).
+        objects: Entries of the objects and inlets in output files.
         colliders: Colliders of the scene at the start.
 
     Raises:
@@ -86,7 +105,7 @@ def resolve_pinned_parts(
                 errors.append((("object", k, "pinned", number), message))
                 continue
             chosen, free = free[inside], free[~inside]
-            regions.append(_region(scene, k, part, chosen, x, vol0, colliders))
+            regions.append(_region(scene, k, part, objects[k], chosen, x, vol0, colliders))
             _warn_of_buried_particles(obj.name, regions[-1], colliders, x[free])
         if obj.pinned and len(rows) and not len(free):
             message = f"holds all particles of '{obj.name}': use rigid = true, or motion"
@@ -96,17 +115,19 @@ def resolve_pinned_parts(
     return regions
 
 
-def _region(scene, k, part, chosen, x, vol0, colliders) -> PinnedRegion:
+def _region(scene, k, part, entry, chosen, x, vol0, colliders) -> PinnedRegion:
     """Return one pinned part.
 
     Args:
         scene: The scene.
         k: Row of the body.
         part: The part.
+        entry: Entry of the body in output files.
         chosen: Ids of its particles, shape (m,).
         x, vol0, colliders: See `resolve_pinned_parts`.
     """
     obj, dx, own = scene.object[k], scene.domain.cell, x[chosen]
+    shares, density = _material_shares(scene, entry, chosen, len(x))
     cell = np.floor(own / dx).astype(np.int64)
     first = cell.min(0) - SURROUNDINGS_CELLS
     close = np.zeros(cell.max(0) + SURROUNDINGS_CELLS + 1 - first, bool)
@@ -116,10 +137,8 @@ def _region(scene, k, part, chosen, x, vol0, colliders) -> PinnedRegion:
             moved, before = np.moveaxis(close, axis, 0), np.moveaxis(close.copy(), axis, 0)
             moved[1:] |= before[:-1]
             moved[:-1] |= before[1:]
-    mask = np.zeros(len(x), bool)
-    mask[chosen] = True
     holder = -1 if part.to == WORLD else [c.name for c in colliders].index(part.to)
-    masses = _point_masses(own, vol0[chosen], scene.material_of(obj).bulk_density)
+    masses = _point_masses(own, vol0[chosen], density.astype(vol0.dtype))
     cx, cy, cz = (float(c) for c in masses.center)
     course = None
     if part.motion is not None:
@@ -129,18 +148,45 @@ def _region(scene, k, part, chosen, x, vol0, colliders) -> PinnedRegion:
         _warn_if_unrelated(obj.name, part, colliders[holder], own, dx)
     return PinnedRegion(
         obj.name, k, part.to, holder, holder >= 0 and colliders[holder].body is not None, part,
-        index_runs(mask), len(chosen), np.array([own.min(0), own.max(0)]), masses, first, close,
+        shares, np.array([own.min(0), own.max(0)]), masses, first, close,
         dx, course,
     )  # fmt: skip
 
 
-def _point_masses(x: np.ndarray, volume: np.ndarray, density: float) -> RigidBody:
+def _material_shares(
+    scene: Scene, entry: dict, chosen: np.ndarray, count: int
+) -> tuple[tuple[PinnedShare, ...], np.ndarray]:
+    """Return the particles of a part by material, and their bulk densities (m,) [kg/m3].
+
+    Args:
+        scene: The scene.
+        entry: Entry of the body in output files.
+        chosen: Ids of the particles of the part, shape (m,).
+        count: Number of all particles.
+    """
+    names, number = [entry["material"]], np.zeros(len(chosen), np.int64)
+    for region in entry.get("regions", ()):
+        if region["material"] not in names:
+            names.append(region["material"])
+        first = region["first_row"]
+        is_inside = (chosen >= first) & (chosen < first + region["row_count"])
+        number[is_inside] = names.index(region["material"])
+    shares = []
+    for m in np.unique(number):
+        mask = np.zeros(count, bool)
+        mask[chosen[number == m]] = True
+        shares.append(PinnedShare(names[m], index_runs(mask), int(mask.sum())))
+    densities = np.array([scene.material[name].bulk_density for name in names], float)
+    return tuple(shares), densities[number]
+
+
+def _point_masses(x: np.ndarray, volume: np.ndarray, density: np.ndarray) -> RigidBody:
     """Return mass and inertia of particles as a body at rest.
 
     Args:
         x: Positions, shape (n, 3) [m].
         volume: Rest volumes, shape (n,) [m3].
-        density: Density [kg/m3].
+        density: Densities, shape (n,) [kg/m3].
     """
     mass = density * volume
     center = (mass[:, None] * x).sum(0) / mass.sum()

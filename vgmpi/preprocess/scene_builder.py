@@ -241,7 +241,7 @@ def _join(scene: Scene, pieces: list[BuiltObject]) -> PreparedScene:
     x = _rows(pieces, bodies, lambda p: p.cloud.x)
     vol0, owner = _rows(pieces, bodies, lambda p: p.volume), _owners(pieces, bodies)
     colliders = _colliders(scene, pieces, x)
-    pinned = resolve_pinned_parts(scene, x, vol0, owner, colliders)
+    pinned = resolve_pinned_parts(scene, x, vol0, owner, objects, colliders)
     return PreparedScene(
         x=x,
         v0=np.concatenate([_velocity(scene, k, pieces[k]) for k in bodies]),

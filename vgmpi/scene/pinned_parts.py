@@ -14,7 +14,8 @@ EXCLUDED_KEYS = ("rigid", "motion", "release_time", "volume_fraction", "volume_f
 
 class PinnedPart(Shape):
     """Pinned part of a solid body: exactly one of the keys of `shape` that make a solid, `box` for
-    example, in coordinates of the domain at the start, and these.
+    example, in coordinates of the domain at the start, and these. It may hold particles of several
+    regions.
     """
 
     to: str = WORLD
@@ -80,8 +81,6 @@ def validate_pinned_parts(
             errors.append((key, message))
         elif accuracy is not None and accuracy.keeps:
             errors.append((key, f'is not for accuracy.transfer = "{accuracy.transfer}"'))
-        elif obj.region:
-            errors.append((key, "is not for bodies with [[object.region]]"))
         for number, part in enumerate(obj.pinned):
             if message := _validate_holder(part.to, obj.name, by_name):
                 errors.append(((*key, number, "to"), message))

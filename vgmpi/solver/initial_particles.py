@@ -142,7 +142,7 @@ def _build_or_read(
             log.info("particles as prepared before: %s", path)
             particles, objects = (gaussians.x0, gaussians.vol0, gaussians.object), gaussians.objects
             loads = resolve_loads(scene, *particles, objects)
-            pinned = tuple(resolve_pinned_parts(scene, *particles, []))
+            pinned = tuple(resolve_pinned_parts(scene, *particles, objects, []))
             summary = _summary_of(scene, objects, gaussians, gaussians.x0, [], loads)
             return replace(summary, pinned=pinned), {}
         except RunError as error:

@@ -67,7 +67,7 @@ class PinnedParts(MovingColliders):
             group: Number of the group.
             phase: Its phase, unused.
         """
-        k = [part.group for part in self.pins].index(group)
+        (k,) = (k for k, part in enumerate(self.pins) if group in part.groups)
         return k if self.is_moving[k] else -1
 
     def take(self, blocks: np.ndarray) -> None:

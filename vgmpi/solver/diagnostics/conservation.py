@@ -60,7 +60,7 @@ def conservation_rows(simulation: Simulation) -> list[dict]:
 
 def _moves_with_free_body(plan: Plan, group: int) -> bool:
     """Return whether a free rigid body holds the pinned part whose particles a group has."""
-    return any(part.group == group and part.region.is_free for part in plan.pins)
+    return any(group in part.groups and part.region.is_free for part in plan.pins)
 
 
 def _flow(tally: Tally, phase: int, totals: list[list[int]]) -> dict:

@@ -157,7 +157,7 @@ class Probes:
         members = [plan.group_of[k]]
         members += [body.joins for body in plan.driven if k in body.things]
         members += sorted({region.group for region in plan.regions if region.thing == k})
-        members += [part.group for part in plan.pins if part.object == k]
+        members += [g for part in plan.pins if part.object == k for g in part.groups]
         last = plan.first_id[k] + plan.count[k] - 1
         rows = np.zeros((0, 7))
         for g in members:

@@ -35,7 +35,7 @@ class ParticleChanges:
         self.simulation, self.impulse = simulation, np.zeros(3)
         plan, self.ranks = simulation.plan, simulation.ranks
         self.prescribed_groups = {body.group for body in plan.driven} | {
-            part.group for part in plan.pins
+            group for part in plan.pins for group in part.groups
         }
         self._clear()
 
