@@ -54,7 +54,11 @@ WRONG = [
     ("rigid = true", "restitution = 0.5", "object.log.restitution: is only for bodies with rigid"),
     ("apic-corrected", "aflip", f'{RIGID}: is not for accuracy.transfer = "aflip"'),
     ("apic-corrected", "flip", f'{RIGID}: is not for accuracy.transfer = "flip"'),
-    ('material = "water"', 'material = "oak"\nrigid = true', "no object has particles"),
+    (
+        'material = "water"',
+        'material = "oak"\nrigid = true',
+        "no object has particles, which set the time step: add a body without rigid = true",
+    ),
     (
         '"water"\nshape',
         '"water"\nrole = "scenery"\nrigid = true\nshape',

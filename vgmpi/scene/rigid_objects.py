@@ -56,7 +56,10 @@ def validate_particles(objects: list[dict]) -> str:
     if all(raw.get("role") == "scenery" for raw in objects):
         return "all objects are scenery: at least one must be a body"
     if all(raw.get("role") == "scenery" or raw.get("rigid") is True for raw in objects):
-        return "no object has particles: one must be neither scenery nor rigid"
+        return (
+            "no object has particles, which set the time step: add a body without rigid = true,"
+            " or an [[inlet]]; a small body beside the others is enough"
+        )
     return ""
 
 
