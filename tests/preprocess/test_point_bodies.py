@@ -90,6 +90,43 @@ def test_colors_and_the_size_of_the_gaussians():
     np.testing.assert_allclose(0.5 + 0.28209479177387814 * plain.sh[0, 0], [1, 0, 0], 0, 1e-6)
 
 
+def test_velocities_turn_with_the_body_and_go_where_their_particle_goes():
+    """They are added to the body's own; parts that are cut out and regions keep them in order."""
+    v = np.random.default_rng(0).normal(size=(512, 3))
+    turned = {"rotation": {"axis": "z", "angle": "90 deg"}, "origin": [0.2, 0.12, 0.14]}
+    built = build({"velocities": v}, velocity=[0, 0, 2], scale=0.5, **turned)
+    want = np.stack([-v[:, 1], v[:, 0], v[:, 2] + 2], axis=1)
+    np.testing.assert_allclose(built.v0, want, 1e-12, 1e-12)
+    table = scene({"velocities": 10 * LATTICE})
+    table["material"]["gum"] = {"kind": "elastic", "youngs_modulus": 1e5, "density": 2000}
+    table["object"][0]["region"] = [{"material": "gum", "box": [[0, 0, 0], [0.14, 0.16, 1]]}]
+    made = build_scene(vgmpi.load(table))
+    assert made.objects[0]["regions"][0]["row_count"] == 128 and (made.x[0] != made.x[1]).any()
+    np.testing.assert_allclose(made.v0, 10 * (made.x - [0.1, 0.12, 0.14]), 1e-9, 1e-12)
+    table = scene({"velocities": 10 * LATTICE}, material="water", subtract=["ball"])
+    table["material"]["water"] = {"kind": "fluid", "tait_coefficient": 2e4}
+    ball = {"sphere": {"center": [0.14, 0.16, 0.18], "radius": 0.025}}
+    table["object"].append({"name": "ball", "material": "rubber", "shape": ball})
+    made = build_scene(vgmpi.load(table))
+    own = made.object == 0
+    assert 400 < own.sum() < 500
+    np.testing.assert_allclose(made.v0[own], 10 * (made.x[own] - [0.1, 0.12, 0.14]), 1e-9, 1e-12)
+
+
+def test_points_with_velocities_move_by_them(tmp_path):
+    """Two halves that part: momentum is that of the given velocities."""
+    v = np.where(LATTICE[:, :1] < 4 * EDGE, [-0.5, 0, 0.1], [0.7, 0, 0.1])
+    table = scene({"velocities": v})
+    table["time"]["end"] = "0.2 ms"  # waves go 2 mm
+    run = vgmpi.run(vgmpi.load(table), tmp_path / "out")
+    assert run.code == 0
+    found = run.array("velocity")
+    np.testing.assert_allclose(found.mean(0), v.mean(0), 0, 1e-9)
+    assert (
+        found[LATTICE[:, 0] < EDGE, 0].mean() < -0.4 < 0.6 < found[LATTICE[:, 0] > 0.07, 0].mean()
+    )
+
+
 @pytest.mark.parametrize(
     "points, keys, line",
     [
@@ -105,6 +142,11 @@ def test_colors_and_the_size_of_the_gaussians():
         ({"volumes": np.full(512, 1e-6), "spacing": 1}, {}, "object.block.points.spacing: volumes"
          " and spacing given at once: give one"),
         ({"colors": np.full((512, 3), 2.0)}, {}, "object.block.points.colors: must be from 0 to"),
+        ({"velocities": np.zeros((2, 3))}, {}, "object.block.points.velocities: has 2 rows,"),
+        ({"velocities": np.zeros(512)}, {}, "object.block.points.velocities: must be a row of 3"),
+        ({"velocities": LATTICE}, {"motion": {"velocity": [1, 0, 0]}}, "object.block.points: has"
+         " velocities, which are not for a body with motion or release_time"),
+        ({"file": "a.ply"}, {}, "object.block.points.positions: file and positions given at once"),
         ({"radius": 1}, {}, "object.block.points.radius: unknown key"),
         ({"spacing": 0.03}, {}, "object.block.points: a particle as large as a cube of 0.03 m is"
          " larger than a cell of 0.02 m"),

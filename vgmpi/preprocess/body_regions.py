@@ -33,8 +33,7 @@ def sort_by_region(scene: Scene, obj: Object, piece: BuiltObject) -> BuiltObject
     order = np.argsort(region, kind="stable")
     counts = np.bincount(region + 1, minlength=len(obj.region) + 1)[1:]
     return replace(
-        piece, cloud=cloud.select(order), volume=piece.volume[order],
-        region_counts=tuple(counts.tolist()),
+        replace(piece, cloud=cloud).select(order), region_counts=tuple(counts.tolist())
     )  # fmt: skip
 
 

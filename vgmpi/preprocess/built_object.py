@@ -1,7 +1,7 @@
 """One object in the domain, as it was built, and the Gaussians of particles that have none."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,7 +28,14 @@ class BuiltObject:
     summary: str = ""  # text on the particle counts and on the volume convention
     surface_sdf: Callable[[], Collider] | None = None  # builds the signed distance of its surface
     surface_descriptor: np.ndarray | None = None  # (n, 10), see surface_descriptor.py
+    velocity: np.ndarray | None = None  # (n, 3) [m/s] of each particle, beside the body's own
     region_counts: tuple[int, ...] = ()  # particles of each region; they are last, in this order
+
+    def select(self, rows: np.ndarray) -> "BuiltObject":
+        """Return the object with some of its particles; rows: (n,) bool, or their numbers."""
+        velocity = None if self.velocity is None else self.velocity[rows]
+        cloud, volume = self.cloud.select(rows), self.volume[rows]
+        return replace(self, cloud=cloud, volume=volume, velocity=velocity)
 
 
 def isotropic_gaussians(

@@ -38,9 +38,7 @@ def _with_fractions(piece: BuiltObject, fraction: np.ndarray) -> BuiltObject:
         raise PlacementError(
             "volume_fraction_profile", "leaves no particle: its values are 0 everywhere"
         )
-    return replace(
-        piece, cloud=piece.cloud.select(is_filled), volume=(piece.volume * fraction)[is_filled]
-    )
+    return replace(piece, volume=piece.volume * fraction).select(is_filled)
 
 
 def _compressed(scene: Scene, obj: Object, piece: BuiltObject) -> BuiltObject:

@@ -71,12 +71,8 @@ def _depths(solid: Collider, x: np.ndarray) -> np.ndarray:
 
 def _select(piece: BuiltObject, mask: np.ndarray) -> BuiltObject:
     """Return an object with some of its particles; mask: (n,) bool."""
-    return replace(
-        piece,
-        cloud=piece.cloud.select(mask),
-        volume=piece.volume[mask],
-        surface_count=int(mask[: piece.surface_count].sum()),
-    )
+    count = int(mask[: piece.surface_count].sum())
+    return replace(piece.select(mask), surface_count=count)
 
 
 def _amount(piece: BuiltObject, mask: np.ndarray) -> str:

@@ -13,10 +13,16 @@ from vgmpi.scene.scene import Scene
 from .motion_checks import extent
 
 
-def initial_velocity(obj: Object, x: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return velocities (n, 3) [m/s] of a body's particles at x (n, 3) [m].
+def initial_velocity(
+    obj: Object, x: np.ndarray, weights: np.ndarray, own: np.ndarray | None = None
+) -> np.ndarray:
+    """Return velocities (n, 3) [m/s] of a body's particles.
 
-    weights: masses of the particles, or volumes where all have one density, shape (n,).
+    Args:
+        obj: The body.
+        x: Its particles, shape (n, 3) [m].
+        weights: Their masses, or volumes where all have one density, shape (n,).
+        own: Velocity of each particle beside that of the body, shape (n, 3) [m/s], or None.
     """
     if obj.driven and obj.motion is not None and len(x):
         course = course_of(obj, *extent(x))
@@ -27,7 +33,7 @@ def initial_velocity(obj: Object, x: np.ndarray, weights: np.ndarray) -> np.ndar
     v = np.asarray(obj.velocity) + np.cross(np.asarray(obj.angular_velocity), x - center)
     for mode in obj.velocity_mode:
         v += np.asarray(mode.amplitude) * np.sin(_angle(mode, x))[:, None]
-    return v
+    return v if own is None else v + own
 
 
 def initial_velocity_gradient(scene: Scene, x: np.ndarray, owner: np.ndarray) -> np.ndarray | None:

@@ -48,6 +48,7 @@ from .placement import (
     rotate,
     upright,
 )
+from .point_files import PointFileError, read_points
 from .sheet_collider import SheetCollider
 
 log = logging.getLogger("vgmpi")
@@ -249,9 +250,15 @@ def _from_gaussians(scene: Scene, k: int, obj: Object) -> BuiltObject:
 
 
 def _from_points(scene: Scene, k: int, obj: Object) -> BuiltObject:
-    """Return a body of the particles that a program gives."""
+    """Return a body of the particles that a file or a program gives."""
     spacing, points = spacing_of(scene, obj), obj.points
     assert points is not None
+    if points.file is not None:
+        try:
+            points = read_points(scene.files[obj.name], points.spacing)
+        except PointFileError as error:
+            raise PlacementError("points", str(error)) from None
+    assert points.positions is not None
     transform = placement(obj, lambda d: float((points.positions @ d).max()))
     x = transform.to_domain(points.positions)
     low, high = x.min(axis=0), x.max(axis=0)
@@ -276,7 +283,11 @@ def _from_points(scene: Scene, k: int, obj: Object) -> BuiltObject:
 
     rgb = np.tile(obj.color, (len(x), 1)) if points.colors is None else points.colors
     cloud = isotropic_gaussians(x, edge, rgb, obj.opacity)
-    return BuiltObject(cloud, volume, transform, surface_sdf=outline)
+    if points.velocities is not None and obj.driven:
+        message = "has velocities, which are not for a body with motion or release_time"
+        raise PlacementError("points", message)
+    v = None if points.velocities is None else rotate(transform.rotation, points.velocities)
+    return BuiltObject(cloud, volume, transform, surface_sdf=outline, velocity=v)
 
 
 _MAKE: dict[str, Callable[[Scene, int, Object], BuiltObject]] = {

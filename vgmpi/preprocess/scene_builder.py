@@ -277,7 +277,7 @@ def _velocity(scene: Scene, k: int, piece: BuiltObject) -> np.ndarray:
     if isinstance(entity, Inlet):
         return inlet_particles.velocity(scene, entity, len(piece.cloud))
     weights = particle_masses(scene, entity, piece) if piece.region_counts else piece.volume
-    return initial_velocity(entity, piece.cloud.x, weights)
+    return initial_velocity(entity, piece.cloud.x, weights, piece.velocity)
 
 
 def _surfaces(pieces: list[BuiltObject], bodies: list[int]) -> np.ndarray | None:

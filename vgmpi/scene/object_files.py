@@ -10,6 +10,7 @@ from vgmpi.runtime.config.toml_source import TomlSource
 from vgmpi.runtime.suggestions import did_you_mean_file
 
 from .objects import Object
+from .point_sets import SUFFIXES as POINT_SUFFIXES
 
 # The flags of the make_assets.py command that a comment in a scene may hold.
 FLAGS = re.compile(r"# +python \S*make_assets\.py(?: [^\s-]\S*)?((?: --\w+(?: [\w.]+)+)+)")
@@ -29,10 +30,13 @@ def find_object_file(
     Returns:
         The file or None, the path of its key, and what is wrong with it, "" if nothing is.
     """
-    key = next((key for key in ("gaussians", "mesh") if getattr(obj, key)), None)
+    names = {"gaussians": obj.gaussians, "mesh": obj.mesh, "points": obj.points and obj.points.file}
+    key = next((key for key, name in names.items() if name), None)
     if key is None:
         return None, (), ""
-    path, name = ("object", k, key), getattr(obj, key)
+    path, name = ("object", k, key), names[key] or ""
+    if key == "points" and not name.lower().endswith(POINT_SUFFIXES):
+        return None, path, f"must end in .ply, .npz or .vtp; {format_input(name)}"
     folder = source.folder
     overridden = source.overridden(path)  # the command line may name any file
     candidates = [Path(name), folder / name] if overridden else [folder / name]

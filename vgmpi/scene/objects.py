@@ -23,7 +23,7 @@ from .captures import Frame, Select, validate_select
 from .initial_fields import FractionProfile, Spin, Velocity, VelocityMode
 from .keyframes import Time
 from .pinned_parts import PinnedPart, validate_pinned
-from .point_sets import Points, validate_points
+from .point_sets import Points, as_table, validate_points
 from .regions import Region, validate_regions
 from .rigid_motion import Motion, validate_motion
 from .rigid_objects import FreeBody, validate_rigid
@@ -99,8 +99,8 @@ class Object(StrictModel):
     by the textures (map_Kd) and colors (Kd) of an .obj's materials, its points or its triangles"""
     shape: Shape | None = None
     """a solid made of simple shapes"""
-    points: Points | None = None
-    """a body of particles that a program gives as arrays"""
+    points: Annotated[Points | None, BeforeValidator(as_table)] = None
+    """a body of given particles: a file (.ply .npz .vtp), or arrays of a program"""
     frame: Frame | None = None
     """directions of x, y and z in a capture (gaussians), one each of R/L, U/D and F/B (right, left,
     up, down, forward, back), if they are not those of a .ply, "RDF": "RUB", for example. The
@@ -245,9 +245,8 @@ class Object(StrictModel):
     @property
     def speed(self) -> float:
         """Return an upper bound [m/s] of its speed at the start, without its rotation."""
-        return math.hypot(*self.velocity) + sum(
-            math.hypot(*m.amplitude) for m in self.velocity_mode
-        )
+        waves = sum(math.hypot(*m.amplitude) for m in self.velocity_mode)
+        return math.hypot(*self.velocity) + waves + (self.points.speed if self.points else 0.0)
 
     @property
     def alpha_threshold(self) -> float:

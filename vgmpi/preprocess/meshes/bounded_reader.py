@@ -18,7 +18,7 @@ from .triangle_mesh import COLOR_NAMES, Mesh, unit_colors
 
 SUFFIXES = (".vtk", ".vtp", ".vtu", ".msh")
 _FREE_BYTES = 1 << 28  # [bytes] memory that any file may take
-_MAX_RATIO = 100  # [-] memory relative to the file, of large ones
+MAX_RATIO = 100  # [-] memory relative to the file, of large ones
 _FREE_SECONDS, _SECONDS_PER_BYTE = 60.0, 1e-6  # [s] time that a file may take
 _PROGRAM = Path(__file__).with_name("reader_process.py")
 _REFUSED = 2  # exit code of the program where it says why
@@ -30,11 +30,31 @@ def read_by_library(path: Path) -> Mesh:
     Raises:
         ValueError: The file cannot be read, or takes more than its size can explain.
     """
+    fields = _read_arrays(path, "triangles")
+    points, triangles = fields["points"], fields["triangles"].astype(np.int64)
+    return Mesh(
+        points, triangles, _colors(fields, "point", len(points)),
+        triangle_rgb=_colors(fields, "cell", len(triangles)),
+    )  # fmt: skip
+
+
+def read_point_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Return the points (n, 3) of a file of VTK as "points", and their arrays as "point NAME".
+
+    Raises:
+        ValueError: The file cannot be read, or takes more than its size can explain.
+    """
+    return _read_arrays(path, "points")
+
+
+def _read_arrays(path: Path, content: str) -> dict[str, np.ndarray]:
+    """Return the arrays that the program reads; content: "triangles" or "points"."""
     size = path.stat().st_size
-    allowance = max(_FREE_BYTES, _MAX_RATIO * size)
+    allowance = max(_FREE_BYTES, MAX_RATIO * size)
     available = memory_budget.available_memory(swap=True)
     allowance = min(allowance, available) if available else allowance
     command = [sys.executable, "-P", str(_PROGRAM), str(path.resolve()), str(allowance)]
+    command.append(content)
     try:
         job = subprocess.run(
             command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
@@ -50,12 +70,7 @@ def read_by_library(path: Path) -> Mesh:
             f" than {memory_budget.format_bytes(allowance)} of memory"
         )
     with np.load(io.BytesIO(job.stdout), allow_pickle=False) as arrays:
-        fields = {name: arrays[name] for name in arrays.files}
-    points, triangles = fields["points"], fields["triangles"].astype(np.int64)
-    return Mesh(
-        points, triangles, _colors(fields, "point", len(points)),
-        triangle_rgb=_colors(fields, "cell", len(triangles)),
-    )  # fmt: skip
+        return {name: arrays[name] for name in arrays.files}
 
 
 def _cause(code: int) -> str:

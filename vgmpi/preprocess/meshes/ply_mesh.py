@@ -53,6 +53,27 @@ class _Rows:
 
 def read_ply(path: Path) -> Mesh:
     """Return the mesh of a .ply file. Raises ValueError, OSError."""
+    tables, comments = _read_tables(path)
+    vertex = tables["vertex"]
+    points = np.stack([vertex.numbers[axis].astype(np.float64) for axis in "xyz"], axis=1)
+    if any(comment.startswith("TextureFile") for comment in comments):
+        log.warning("%s: its picture is not read: only .obj meshes have textures", path)
+    triangles, row = _triangles(tables.get("face"))
+    colors = _colors(tables["face"]) if "face" in tables else None
+    return Mesh(points, triangles, _colors(vertex), None, None if colors is None else colors[row])
+
+
+def read_vertices(path: Path) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
+    """Return the numbers of the points of a .ply file by name, and colors 0..1 (n, 3) or None.
+
+    Raises ValueError, OSError.
+    """
+    vertex = _read_tables(path)[0]["vertex"]
+    return vertex.numbers, _colors(vertex)
+
+
+def _read_tables(path: Path) -> tuple[dict[str, _Rows], tuple[str, ...]]:
+    """Return the elements of a .ply file by name, with points, and its comments."""
     with open(path, "rb") as file:
         header = read_header(file)
         file.seek(0)
@@ -67,13 +88,7 @@ def read_ply(path: Path) -> Mesh:
         tables[element.name], offset = _read_element(data, offset, element, order)
     if "vertex" not in tables or not all(axis in tables["vertex"].numbers for axis in "xyz"):
         raise ValueError("has no points: no element 'vertex' with x, y and z")
-    vertex = tables["vertex"]
-    points = np.stack([vertex.numbers[axis].astype(np.float64) for axis in "xyz"], axis=1)
-    if any(comment.startswith("TextureFile") for comment in header.comments):
-        log.warning("%s: its picture is not read: only .obj meshes have textures", path)
-    triangles, row = _triangles(tables.get("face"))
-    colors = _colors(tables["face"]) if "face" in tables else None
-    return Mesh(points, triangles, _colors(vertex), None, None if colors is None else colors[row])
+    return tables, header.comments
 
 
 def _element(layout: Layout) -> _Element:

@@ -1,7 +1,8 @@
 """Program that reads one mesh by a library and writes its triangles to standard output, as .npz.
 
 It runs apart from vgmpi, with bounds on its memory and time, since the libraries trust a file.
-It is called as `python reader_process.py FILE BYTES`, and ends with code 2 and one line of
+It is called as `python reader_process.py FILE BYTES triangles`, or `points` for the points of a
+file with all of their arrays, and ends with code 2 and one line of
 text where the file cannot be read. It imports nothing of vgmpi.
 """
 
@@ -14,12 +15,13 @@ import numpy as np
 REFUSED = 2  # [-] exit code
 
 
-def main(path: str, allowance: int) -> None:
-    """Write the triangles of a file.
+def main(path: str, allowance: int, content: str) -> None:
+    """Write the triangles of a file, or its points.
 
     Args:
         path: The file.
         allowance: Memory that it may take [bytes].
+        content: "triangles" or "points".
     """
     output = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what VTK prints is no result
@@ -35,8 +37,6 @@ def main(path: str, allowance: int) -> None:
         return
     from vtkmodules.vtkCommonCore import vtkOutputWindow
     from vtkmodules.vtkCommonDataModel import vtkPolyData, vtkUnstructuredGrid
-    from vtkmodules.vtkFiltersCore import vtkTriangleFilter
-    from vtkmodules.vtkFiltersGeometry import vtkGeometryFilter
 
     window = vtkOutputWindow.GetInstance()
     window.SetDisplayModeToNever()
@@ -56,18 +56,8 @@ def main(path: str, allowance: int) -> None:
         if not isinstance(data, vtkPolyData | vtkUnstructuredGrid):
             name = "nothing" if data is None else data.GetClassName().removeprefix("vtk")
             refuse(f"holds {name}: allowed are PolyData and UnstructuredGrid")
-        _check_cells(data)
-        if isinstance(data, vtkUnstructuredGrid):
-            outside = vtkGeometryFilter()
-            outside.SetInputData(data)
-            outside.Update()
-            data = outside.GetOutput()
-        cut = vtkTriangleFilter()
-        cut.PassVertsOff()
-        cut.PassLinesOff()
-        cut.SetInputData(data)
-        cut.Update()
-        np.savez(output, **_arrays(cut.GetOutput()))  # type: ignore[arg-type]
+        arrays = _point_arrays(data) if content == "points" else _triangle_arrays(data)
+        np.savez(output, **arrays)  # type: ignore[arg-type]
         output.flush()
     except MemoryError:
         refuse("needs more memory than its size explains")
@@ -171,6 +161,41 @@ def _arrays(mesh) -> dict[str, np.ndarray]:
     return out
 
 
+def _triangle_arrays(data) -> dict[str, np.ndarray]:
+    """Return the triangles of a dataset, of volume cells those of their surface."""
+    from vtkmodules.vtkCommonDataModel import vtkUnstructuredGrid
+    from vtkmodules.vtkFiltersCore import vtkTriangleFilter
+    from vtkmodules.vtkFiltersGeometry import vtkGeometryFilter
+
+    _check_cells(data)
+    if isinstance(data, vtkUnstructuredGrid):
+        outside = vtkGeometryFilter()
+        outside.SetInputData(data)
+        outside.Update()
+        data = outside.GetOutput()
+    cut = vtkTriangleFilter()
+    cut.PassVertsOff()
+    cut.PassLinesOff()
+    cut.SetInputData(data)
+    cut.Update()
+    return _arrays(cut.GetOutput())
+
+
+def _point_arrays(data) -> dict[str, np.ndarray]:
+    """Return the points of a dataset, and their arrays by name in small letters."""
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+
+    if data.GetPoints() is None:
+        return {"points": np.empty((0, 3))}
+    out = {"points": vtk_to_numpy(data.GetPoints().GetData()).astype(np.float64)}
+    table = data.GetPointData()
+    for k in range(table.GetNumberOfArrays()):
+        array = table.GetArray(k)  # None for texts
+        if array is not None:
+            out[f"point {(array.GetName() or '').lower()}"] = vtk_to_numpy(array)
+    return out
+
+
 def _is_color(name: str, values: np.ndarray) -> bool:
     """Return whether an array is a color: by its name, or as VTK's own colors by its type."""
     if values.ndim == 1:
@@ -180,4 +205,4 @@ def _is_color(name: str, values: np.ndarray) -> bool:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], int(sys.argv[2]))
+    main(sys.argv[1], int(sys.argv[2]), sys.argv[3])
