@@ -1,7 +1,7 @@
 """What the cache of compiled code uses of numba that numba does not document.
 
-Where a new numba fails here, runtime/compile_cache.py and runtime/compile_key.py must be read again
-before the bound in pyproject.toml goes up.
+Where a new numba fails here, runtime/compile_cache.py, runtime/callee_code.py and
+runtime/compile_key.py must be read again before the bound in pyproject.toml goes up.
 """
 
 import inspect
@@ -10,7 +10,18 @@ import itertools
 import numba
 import pytest
 from numba import types
-from numba.core import bytecode, caching, compiler, config, dispatcher, serialize, sigutils
+from numba.core import (
+    base,
+    bytecode,
+    caching,
+    codegen,
+    compiler,
+    config,
+    dispatcher,
+    serialize,
+    sigutils,
+    typing,
+)
 
 from vgmpi.runtime import compile_cache, compile_key
 
@@ -25,6 +36,30 @@ PRIVATE_PARTS = {
          "typeann", "reload_init", "referenced_envs"],
     ),
     "Dispatcher.compile": (dispatcher.Dispatcher.compile, ["self", "sig"]),
+    "Dispatcher.get_call_template": (
+        dispatcher.Dispatcher.get_call_template, ["self", "args", "kws"]
+    ),
+    "CPUCodeLibrary.finalize": (codegen.CPUCodeLibrary.finalize, ["self"]),
+    "CPUCodeLibrary._get_module_for_linking": (
+        codegen.CPUCodeLibrary._get_module_for_linking, ["self"]
+    ),
+    "CPUCodeLibrary._finalize_dynamic_globals": (
+        codegen.CPUCodeLibrary._finalize_dynamic_globals, ["self"]
+    ),
+    "CompilerBase.__init__": (
+        compiler.CompilerBase.__init__,
+        ["self", "typingctx", "targetctx", "library", "args", "return_type", "flags", "locals"],
+    ),
+    "CompilerBase.compile_extra": (compiler.CompilerBase.compile_extra, ["self", "func"]),
+    "CompileResult._find_referenced_environments": (
+        compiler.CompileResult._find_referenced_environments, ["self"]
+    ),
+    "insert_user_function": (
+        base.BaseContext.insert_user_function, ["self", "func", "fndesc", "libs"]
+    ),
+    "make_concrete_template": (
+        typing.make_concrete_template, ["name", "key", "signatures"]
+    ),
     "serialize.dumps": (serialize.dumps, ["obj"]),
     "sigutils.normalize_signature": (sigutils.normalize_signature, ["sig"]),
 }  # fmt: skip
@@ -42,6 +77,13 @@ def test_the_cache_has_all_that_numba_calls():
     assert "self._cache.load_overload(sig, self.targetctx)" in text
     assert "self._cache.save_overload(sig, cres)" in text
     assert "global_compiler_lock" in text  # nothing else compiles while a lock is waited for
+
+
+def test_a_compiler_without_machine_code_is_asked_for_by_flags():
+    flags = compiler.Flags()
+    assert {"no_compile", "no_cpython_wrapper", "no_cfunc_wrapper"} <= set(flags.options)
+    text = inspect.getsource(codegen.CPUCodeLibrary.finalize)
+    assert "link_in" in text and "self._reload_init.update(library._reload_init)" in text
 
 
 def test_functions_are_numbered_by_a_counter():

@@ -156,7 +156,7 @@ def test_ranks_compile_shares_of_a_step(tmp_path, monkeypatch):
     monkeypatch.setattr(
         compile_kernels, "precompiled_entry", lambda kernel, *_: begun.append(kernel)
     )
-    compile_kernels._compile_share(plan, SimpleNamespace(rank=1, size=2))
+    compile_kernels.compile_share(plan, 1, 2, False)
     assert begun[0] is calls[len(calls) // 2][0]
     assert set(begun) == {kernel for kernel, *_ in calls} and len(begun) == len(set(begun))
 
@@ -166,7 +166,7 @@ def test_a_share_that_fails_is_left_to_the_run(tmp_path, monkeypatch):
         raise ZeroDivisionError
 
     monkeypatch.setattr(compile_kernels, "_run_all", fails)
-    compile_kernels._compile_share(SimpleNamespace(), SimpleNamespace(rank=0, size=2))
+    compile_kernels.compile_share(SimpleNamespace(), 0, 2, False)
 
 
 def test_stamps_tell_kernels_apart():

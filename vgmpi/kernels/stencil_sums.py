@@ -9,7 +9,6 @@ where rows are split.
 
 import numpy as np
 from numba import njit
-from numba.extending import overload
 
 from vgmpi.kernels.simd.partial_rows import (
     broadcast_per_node,
@@ -23,7 +22,7 @@ from vgmpi.kernels.simd.partial_rows import (
     zeros_like_row,
 )
 from vgmpi.runtime.cpu_features import vector_bytes
-from vgmpi.runtime.jit import always_inline
+from vgmpi.runtime.jit import always_inline, overload
 
 from .particle_records import PLANE, ROW
 
@@ -346,7 +345,7 @@ def define_stencil_function(stub, combine, make_part):
             count, records, weights, base, patch
         )
 
-    overload(stub, strict=False)(_implementation)
+    overload(stub)(_implementation)
 
 
 def scatter(count, records, weights, base, patch):

@@ -32,6 +32,7 @@ from numba.core.serialize import dumps
 from numba.core.sigutils import normalize_signature
 
 from .cache_paths import user_folder
+from .callee_code import link_as_callee, rebuild_callee
 from .compile_key import NoKeyError, compile_key, modules_of
 from .compile_lock import FileLock
 
@@ -50,6 +51,8 @@ def njit_cached(**options: Any) -> Callable[[Callable], Any]:
         if hasattr(dispatcher, "_cache"):  # without NUMBA_DISABLE_JIT
             cache = dispatcher._cache = ContentCache(function, dispatcher.targetoptions)
             dispatcher.compile = cache.releasing(dispatcher.compile)
+            callee_options = dispatcher.targetoptions | {"linked": "as it is"}
+            link_as_callee(dispatcher, ContentCache(function, callee_options, rebuild_callee))
             KEPT.add(str(function.__module__))
         return dispatcher
 
@@ -64,8 +67,10 @@ def cache_folder() -> Path:
 class ContentCache(_Cache):
     """Compiled code of one function on disk; takes the place of numba's own in a dispatcher."""
 
-    def __init__(self, function: Callable, options: dict):
-        self.function, self.options = function, options
+    def __init__(
+        self, function: Callable, options: dict, rebuild: Callable = CompileResult._rebuild
+    ):
+        self.function, self.options, self.rebuild = function, options, rebuild
         self.enabled = True
         self.locks: dict[str, FileLock] = {}  # of what is being compiled, by key
 
@@ -104,14 +109,14 @@ class ContentCache(_Cache):
                 packed = self._read(key)  # another process may have made it meanwhile
         if packed is None:
             return None
-        return CompileResult._rebuild(target_context, *pickle.loads(packed))
+        return self.rebuild(target_context, *pickle.loads(packed))
 
     def save_overload(self, sig: Any, data: CompileResult) -> None:
         """Keep the code for a signature, if it can be kept and the folder can be written."""
         key = self._key(sig, data.target_context)
         if key is None or data.lifted or data.library.has_dynamic_globals:
             return
-        reduced = data._reduce()
+        reduced = data._replace(type_annotation="")._reduce()  # it takes long to write
         if not self._covers(key, reduced[-1]):
             return
         try:

@@ -22,6 +22,7 @@ from vgmpi.runtime.cpu_features import processor
 from vgmpi.runtime.fast_dispatch import is_begun, precompiled_entry
 from vgmpi.solver.diagnostics.conservation import body_momentum, conservation_rows
 
+from .compile_helper import count_helpers, helpers_of
 from .simulation import BlowUp, Simulation
 
 log = logging.getLogger("vgmpi")
@@ -33,9 +34,9 @@ WAIT_INTERVAL = 60.0  # [s] for which rank 1 waits for rank 0 before a line says
 def compile_kernels(plan: Plan, ranks: SerialCommunicator) -> None:
     """Make the kernels ready on every rank. Collective.
 
-    Every rank compiles a share, with a bar on rank 0. Rank 0 then compiles what is left, so that
-    the others find all in the cache; kernels that are already compiled are loaded by all ranks at
-    once.
+    Every rank compiles a share, with a bar on rank 0; a single rank has helpers on idle cores.
+    Rank 0 then compiles what is left, so that the others find all in the cache; kernels that are
+    already compiled are loaded by all ranks at once.
 
     Raises:
         BlowUp: On all ranks, if a test step with the kernels fails on rank 0.
@@ -45,9 +46,11 @@ def compile_kernels(plan: Plan, ranks: SerialCommunicator) -> None:
     ready = ranks.bcast(marker.exists())
     if ranks.rank == 0 and not ready:
         log.info("compiling for this processor, once for these materials: a minute or two")
-    if not ready:
-        _compile_share(plan, ranks)
-    failure = _failure_of_run(plan) if ranks.rank == 0 or ready else ""
+    helpers = 0 if ready else count_helpers(ranks.size)
+    with helpers_of(plan, helpers):
+        if not ready:
+            compile_share(plan, ranks.rank, ranks.size + helpers, ranks.rank == 0)
+        failure = _failure_of_run(plan) if ranks.rank == 0 or ready else ""
     with _announced_wait(ranks):
         failure = ranks.bcast(failure)  # the others wait here while rank 0 compiles
     if failure:
@@ -98,20 +101,26 @@ def _same_processor(ranks: SerialCommunicator) -> None:
         )
 
 
-def _compile_share(plan: Plan, ranks: SerialCommunicator) -> None:
-    """Compile kernels that no other rank has begun, starting at another one on every rank.
+def compile_share(plan: Plan, share: int, shares: int, visible: bool) -> None:
+    """Compile kernels that no other process has begun, each starting at another one.
 
     A step without its kernels tells what they are called with. What fails here is reported when the
     kernels are run.
+
+    Args:
+        plan: The plan.
+        share: Number of this process among those that compile.
+        shares: Number of these processes.
+        visible: Whether this process shows its progress.
     """
     calls: list[tuple] = []
     try:
         _run_all(plan, calls)
     except Exception as error:  # a step may fail without its kernels
         log.debug("not all kernels are compiled side by side: %s", error)
-    first = ranks.rank * len(calls) // ranks.size
+    first = share * len(calls) // shares
     try:
-        for call in _followed(calls[first:] + calls[:first], ranks.rank == 0):
+        for call in _followed(calls[first:] + calls[:first], visible):
             if not is_begun(*call):
                 precompiled_entry(*call)
     except Exception as error:

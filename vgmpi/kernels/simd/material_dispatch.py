@@ -10,11 +10,12 @@ import sys
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.extending import intrinsic, overload, register_jitable
+from numba.extending import intrinsic
 
 from vgmpi.materials import registry
 from vgmpi.materials.material import law_function, law_owner, state_channels
 from vgmpi.materials.tensor_math import hencky, symmetric_eigen, tait, tensor, viscoplastic_flow
+from vgmpi.runtime.jit import always_inline, overload
 
 from . import math_functions as _functions  # noqa: F401  (defines exp and its kin for lanes
 from .vector16 import VECTOR_OF, address, broadcast_value
@@ -25,7 +26,7 @@ def make_callable(module) -> None:
     for plain in vars(module).values():
         if inspect.isfunction(plain) and plain.__module__ == module.__name__:
             # Inlined: passing vectors in memory costs more than the arithmetic.
-            register_jitable(forceinline=True)(plain)
+            always_inline(plain)
 
 
 _materials = [sys.modules[_material.__module__] for _material in registry.values()]
@@ -87,32 +88,32 @@ def is_liquid(law):
     return law_function(law, "is_liquid")(law)
 
 
-@overload(is_liquid, strict=False)
+@overload(is_liquid)
 def _is_liquid(law):
     return _owner(law) and _owner(law).is_liquid
 
 
-@overload(advance, strict=False)
+@overload(advance)
 def _advance(law, state, L, dt):
     return _owner(law) and _owner(law).advance
 
 
-@overload(stress, strict=False)
+@overload(stress)
 def _stress(law, state, L):
     return _owner(law) and _owner(law).stress
 
 
-@overload(volume_ratio, strict=False)
+@overload(volume_ratio)
 def _volume_ratio(law, state):
     return _owner(law) and _owner(law).volume_ratio
 
 
-@overload(wave_speed2, strict=False)
+@overload(wave_speed2)
 def _wave_speed2(law, state):
     return _owner(law) and _owner(law).wave_speed2
 
 
-@overload(energy, strict=False)
+@overload(energy)
 def _energy(law, state):
     return _owner(law) and _owner(law).energy
 
@@ -145,7 +146,7 @@ def _tuple_from_column(typing, law, f, row, p):
     return numbers(law, f, types.intp, types.intp), _codegen
 
 
-@overload(load_state_scalar, strict=False)
+@overload(load_state_scalar)
 def _load_state(law, f, row, p):
     return _owner(law) and (lambda law, f, row, p: _tuple_from_column(law, f, row, p))
 
@@ -187,7 +188,7 @@ def _load_channels(typing, law, f, first, cap):
     return vectors(law, f, types.intp, types.intp), _codegen
 
 
-@overload(load_state_vector, strict=False)
+@overload(load_state_vector)
 def _lane_state(law, f, first, cap):
     return _owner(law) and (lambda law, f, first, cap: _load_channels(law, f, first, cap))
 
@@ -218,6 +219,6 @@ def _store_channels(typing, f, first, cap, state):
     return types.void(f, types.intp, types.intp, state), _codegen
 
 
-@overload(store_state_vector, strict=False)
+@overload(store_state_vector)
 def _store_state(f, first, cap, state):
     return lambda f, first, cap, state: _store_channels(f, first, cap, state)

@@ -11,7 +11,8 @@ not contain features that a scene does not need.
 """
 
 from numba import types
-from numba.extending import overload
+
+from vgmpi.runtime.jit import inlined_overload
 
 
 def static_dispatch(stub):
@@ -27,7 +28,7 @@ def static_dispatch(stub):
 
         return _add
 
-    @overload(stub, strict=False, jit_options={"forceinline": True})
+    @inlined_overload(stub)
     def _choose(kind, *_):
         return table.get(kind.instance_class) if isinstance(kind, types.BaseNamedTuple) else None
 

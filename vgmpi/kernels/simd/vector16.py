@@ -15,10 +15,10 @@ from numba import types
 from numba.core import cgutils
 from numba.core.typing import signature
 from numba.core.typing.templates import AbstractTemplate, infer_global
-from numba.extending import intrinsic, lower_builtin, models, overload, register_model
+from numba.extending import intrinsic, lower_builtin, models, register_model
 
 from vgmpi.materials.tensor_math.select import select
-from vgmpi.runtime.jit import FP_CONTRACTION
+from vgmpi.runtime.jit import FP_CONTRACTION, overload
 
 SIMD_WIDTH = 16
 LINE = 64  # [bytes] cache line
@@ -198,7 +198,7 @@ def binary(function, emit, result=lambda lanes: lanes):
 
         return result(lanes)(a, b), _codegen
 
-    @overload(function, strict=False)
+    @overload(function)
     def _overload(a, b):
         if _lanes_of(a, b) is not None:
             return lambda a, b: _intrinsic(a, b)
@@ -211,7 +211,7 @@ def unary(function, emit, operand=VectorType):
     def _intrinsic(typing, a):
         return a(a), lambda context, builder, signature, arguments: emit(builder, a, arguments[0])
 
-    @overload(function, strict=False)
+    @overload(function)
     def _overload(a):
         if isinstance(a, operand):
             return lambda a: _intrinsic(a)
@@ -348,7 +348,7 @@ def _join(function, instruction):
 
         return _mask_of(a, b)(a, b), _codegen
 
-    @overload(function, strict=False)
+    @overload(function)
     def _overload(a, b):
         if _mask_of(a, b) is not None:
             return lambda a, b: _intrinsic(a, b)
@@ -384,7 +384,7 @@ def _blend(typing, mask, a, b):
     return lanes(mask, a, b), _codegen
 
 
-@overload(select, strict=False)
+@overload(select)
 def _select(mask, a, b):
     if isinstance(mask, types.Boolean) and isinstance(a, _PLAIN) and isinstance(b, _PLAIN):
         return lambda mask, a, b: a if mask else b
