@@ -63,8 +63,11 @@ def _length(v: np.ndarray) -> np.ndarray:
 
 def _from_box(q: np.ndarray) -> np.ndarray:
     """Return the distance from |x - center| - half edges, both (n, k)."""
-    outside = np.maximum(q, 0.0)
-    return np.sqrt((outside**2).sum(axis=1)) + np.minimum(q.max(axis=1), 0.0)
+    square, side = np.maximum(q[:, 0], 0.0) ** 2, q[:, 0]
+    for axis in range(1, q.shape[1]):  # by columns: NumPy reduces short rows one by one
+        square += np.maximum(q[:, axis], 0.0) ** 2
+        side = np.maximum(side, q[:, axis])
+    return np.sqrt(square) + np.minimum(side, 0.0)
 
 
 def _from_ellipsoid(x: np.ndarray, radii: np.ndarray) -> np.ndarray:

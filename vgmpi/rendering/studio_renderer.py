@@ -368,17 +368,11 @@ class Studio:
             return empty, empty, empty, np.ones(shape, np.float32)
         size = np.linalg.norm(normal, axis=1, keepdims=True)
         normal = 0.5 + 0.5 * normal / np.maximum(size, 1.0)
-        black = np.broadcast_to(np.float32(0), (*shape, 3))
         layers = LayeredImage(
             splats, fine, options["lowpass"], options["antialias"], options["alpha_min"]
         )
-        albedo, transmit = layers.picture(black)
-        view.depth[:] = layers.depth()
-        normals = layers.with_colors(normal).picture(black)[0]
-        first = kind[0]
-        if (kind == first).all():
-            return (albedo, normals, (1 - transmit)[..., None] * first.astype(np.float32), transmit)
-        return albedo, normals, layers.with_colors(kind).picture(black)[0], transmit
+        albedo, normals, kinds, transmit, view.depth[:] = layers.surfaces(normal, kind)
+        return albedo, normals, kinds, transmit
 
 
 def _velocities(velocity: np.ndarray, rows: np.ndarray) -> np.ndarray:

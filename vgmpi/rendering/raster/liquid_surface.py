@@ -6,7 +6,6 @@ each Gaussian belongs to the side of the front on which its center lies (DepthSi
 finds the front, and liquid_shading.py shades the liquid.
 """
 
-import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +15,16 @@ from vgmpi.gaussians.camera import Camera
 from . import liquid_depth, liquid_shading
 from .projection import depth_order, project
 from .rasterize import ProjectableGaussians, join_gaussians, resolve_lowpass
-from .tile_blend import TILE, DepthSide, blend_tiles, depths_of, new_canvas, picture, to_tiles
+from .surface_canvas import surface_canvas, surfaces_of
+from .tile_blend import (
+    TILE,
+    DepthSide,
+    blend_tiles,
+    depths_of,
+    new_canvas,
+    picture,
+    to_tiles,
+)
 
 BYTES = 150  # [bytes] memory of a drawn pixel, at least
 SPRAY = 0.04, 0.14  # [-] neighbor fractions of a full drop and of no drop
@@ -66,20 +74,20 @@ class LayeredImage:
         self.visible_ids = visible_ids[: len(z)]
         self.order, self.z = depth_order(z), z.astype(np.float32)
 
-    def with_colors(self, color: np.ndarray) -> "LayeredImage":
-        """Return the same Gaussians in other colors (n, 3), sharing projection and order."""
-        other = copy.copy(self)
-        looks = self.rows[1].copy()
-        looks[:, 2:5] = color[self.visible_ids]
-        other.rows = [self.rows[0], looks, self.rows[2]]
-        return other
-
     def _painted(self, looks, side: DepthSide | None, depths: bool) -> np.ndarray:
         """Blend the Gaussians on one side into a new canvas."""
         canvas = new_canvas(*self.shape)
         ellipses, _, bounds = self.rows
         blend_tiles(
-            self.order, ellipses, looks, bounds, canvas, -(-self.shape[1] // TILE), depths, side
+            self.order,
+            ellipses,
+            looks,
+            bounds,
+            canvas,
+            -(-self.shape[1] // TILE),
+            depths,
+            side,
+            None,
         )
         return canvas
 
@@ -101,6 +109,30 @@ class LayeredImage:
         )
         picture(self._painted(self.rows[1], side, False), background, image, through)
         return image, through
+
+    def surfaces(
+        self, normal: np.ndarray, material: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Draw colors, normals, materials and depths in one pass.
+
+        Args:
+            normal, material: Of every Gaussian, shape (n, 3).
+
+        Returns:
+            Colors, normals and materials weighted by opacity, shape (height, width, 3),
+            transmittance and median depth [m], shape (height, width), float32.
+        """
+        ellipses, looks, bounds = self.rows
+        surface = np.empty((len(self.z), 7), np.float32)
+        surface[:, :3], surface[:, 3:6] = normal[self.visible_ids], material[self.visible_ids]
+        surface[:, 6] = self.z
+        canvas, drawn = surface_canvas(surface, *self.shape)
+        nx = -(-self.shape[1] // TILE)
+        blend_tiles(self.order, ellipses, looks, bounds, canvas, nx, False, None, drawn)
+        pictures = np.zeros((3, *self.shape, 3), np.float32)
+        through, median = (np.full(self.shape, n, np.float32) for n in (1, np.inf))
+        surfaces_of(canvas, drawn.is_drawn, pictures, through, median)
+        return *pictures, through, median
 
     def depth(self, limit=None) -> np.ndarray:
         """Return the median depth of the Gaussians, or of those behind a limit.

@@ -11,6 +11,9 @@ depth, the weighted depth, the median depth, the sum of the weights). The transm
 that has stopped is negative: then the next Gaussian stops it again, whatever it is, and adds
 nothing.
 
+Surfaces that are lit later (surface_canvas.py) are drawn in one pass: color, normal, material and
+median depth share the alphas of a Gaussian, and a canvas holds 16 numbers each of all of them.
+
 A picture in two layers, before and behind a surface, has a depth limit per pixel (`DepthSide`): a
 Gaussian leaves out the pixels for which its center lies on the other side.
 """
@@ -24,8 +27,7 @@ from vgmpi.runtime.compile_cache import njit_cached
 
 TILE = 16  # [pixels] edge of a tile
 BATCH = 1 << 14  # [Gaussians] their records stay in the caches while sorted and drawn
-_ROW = 4 * TILE
-_CANVAS = TILE * _ROW
+COLORS = 4  # numbers of a pixel of colors or depths
 
 
 def _exponential() -> list[np.float32]:
@@ -42,22 +44,33 @@ _ZERO, _ONE, _HALF = np.float32(0), np.float32(1), np.float32(0.5)
 
 def new_canvas(height: int, width: int) -> np.ndarray:
     """Return an empty canvas (tiles, numbers) for a picture."""
-    tiles = -(-width // TILE) * -(-height // TILE)
-    canvas = np.empty((tiles, _CANVAS), dtype=np.float32)
+    canvas = uncleared_canvas(height, width, COLORS)
     _clear(canvas, height, width)
     return canvas
+
+
+def uncleared_canvas(height: int, width: int, numbers: int) -> np.ndarray:
+    """Return a canvas of so many numbers of a pixel that is not cleared yet."""
+    tiles = -(-width // TILE) * -(-height // TILE)
+    return np.empty((tiles, TILE * TILE * numbers), dtype=np.float32)
 
 
 @njit_cached(nogil=True, error_model="numpy")
 def _clear(canvas, height, width):
     """Clear a canvas; pixels beyond the picture have stopped already."""
-    nx = (width + TILE - 1) // TILE
-    canvas[:] = _ZERO
     for t in range(len(canvas)):
-        for j in range(TILE):
-            for k in range(TILE):
-                is_inside = (t // nx) * TILE + j < height and (t % nx) * TILE + k < width
-                canvas[t, j * _ROW + k] = _ONE if is_inside else -_ONE
+        _clear_tile(canvas[t], t, height, width)
+
+
+@njit_cached(nogil=True, error_model="numpy")
+def _clear_tile(buf, t, height, width):
+    """Clear tile t of a picture."""
+    nx, row = (width + TILE - 1) // TILE, len(buf) // TILE
+    buf[:] = _ZERO
+    for j in range(TILE):
+        for k in range(TILE):
+            is_inside = (t // nx) * TILE + j < height and (t % nx) * TILE + k < width
+            buf[j * row + k] = _ONE if is_inside else -_ONE
 
 
 class DepthSide(NamedTuple):
@@ -143,13 +156,45 @@ def _blend_depth_row(buf, start, first, a, b, c, opacity, level, depth, limits, 
         buf[start + 2 * TILE + k] = depth if crossing else buf[start + 2 * TILE + k]
 
 
+@njit_cached(nogil=True, error_model="numpy", fastmath={"contract", "nsz", "nnan", "ninf"})
+def _blend_surface_row(buf, start, first, a, b, c, opacity, level, color, surface):
+    """Blend a Gaussian's color (3,) and its normal, material and depth (7,) into a row."""
+    red, green, blue = color
+    u, v, w = surface[0], surface[1], surface[2]
+    sand, snow, captured, depth = surface[3], surface[4], surface[5], surface[6]
+    if start < 0:
+        return
+    for k in range(TILE):
+        X = np.float32(k) + first
+        s = c + X * (a * X + b)
+        before = buf[start + k]
+        share = _alpha(s, opacity, level) * before
+        after = before - share
+        stop = after < _STOP
+        buf[start + k] = -abs(before) if stop else after
+        share = _ZERO if stop else share
+        buf[start + TILE + k] += share * red
+        buf[start + 2 * TILE + k] += share * green
+        buf[start + 3 * TILE + k] += share * blue
+        buf[start + 4 * TILE + k] += share * u
+        buf[start + 5 * TILE + k] += share * v
+        buf[start + 6 * TILE + k] += share * w
+        buf[start + 7 * TILE + k] += share * sand
+        buf[start + 8 * TILE + k] += share * snow
+        buf[start + 9 * TILE + k] += share * captured
+        crossing = (before > _HALF) & (after <= _HALF)
+        buf[start + 10 * TILE + k] = depth if crossing else buf[start + 10 * TILE + k]
+
+
 @njit_cached(nogil=True, error_model="numpy")
-def _draw_tile(buf, items, ellipses, looks, left, top, depths, limits, z, is_behind):
+def _draw_tile(buf, items, ellipses, looks, left, top, depths, limits, z, is_behind, surface):
     """Draw the Gaussians of a batch in one tile and return whether any pixel is still open.
 
     depths: whether `looks` hold a depth for red, and depths are drawn instead of colors. limits,
-    z, is_behind: as for a row, with the depths of all Gaussians of the batch.
+    z, is_behind: as for a row, with the depths of all Gaussians of the batch. surface: None, or
+    normals, materials and depths of all Gaussians of the batch, which are drawn too.
     """
+    row = len(buf) // TILE
     first, last = _open_rows(buf)
     count = 0
     for item in items:
@@ -175,14 +220,19 @@ def _draw_tile(buf, items, ellipses, looks, left, top, depths, limits, z, is_beh
         for j in range(y0, y1 + 1):
             Y = np.float32(j) + first_y
             constant = s0 + Y * (sy + fc * Y)
-            if depths:
+            if surface is not None:
+                _blend_surface_row(
+                    buf, j * row, first_x, fa, sx + fb * Y, constant, opacity, level, color,
+                    surface[p],
+                )  # fmt: skip
+            elif depths:
                 _blend_depth_row(
-                    buf, j * _ROW, first_x, fa, sx + fb * Y, constant, opacity, level, red,
+                    buf, j * row, first_x, fa, sx + fb * Y, constant, opacity, level, red,
                     limits, own, is_behind,
                 )  # fmt: skip
             else:
                 _blend_row(
-                    buf, j * _ROW, first_x, fa, sx + fb * Y, constant, opacity, level, color,
+                    buf, j * row, first_x, fa, sx + fb * Y, constant, opacity, level, color,
                     limits, own, is_behind,
                 )  # fmt: skip
     return _open_rows(buf)[1] >= 0
@@ -191,11 +241,11 @@ def _draw_tile(buf, items, ellipses, looks, left, top, depths, limits, z, is_beh
 @njit_cached(nogil=True, error_model="numpy")
 def _open_rows(buf):
     """Return the first and last row of a tile with an open pixel; (16, -1) for none."""
-    first, last = TILE, -1
+    first, last, row = TILE, -1, len(buf) // TILE
     for j in range(TILE):
         any_open = np.int32(0)
         for k in range(TILE):
-            any_open |= np.int32(buf[j * _ROW + k] > _ZERO)
+            any_open |= np.int32(buf[j * row + k] > _ZERO)
         if any_open:
             first, last = min(first, j), j
     return first, last
@@ -216,12 +266,39 @@ def _assign_tiles(boxes, is_open, nx, fill, items):
 
 
 @njit_cached(nogil=True, error_model="numpy")
-def blend_tiles(order, ellipses, looks, bounds, canvas, nx, depths, side):
-    """Blend Gaussians (see project) into a canvas (tiles, _CANVAS), nx tiles wide.
+def _touch_open_tiles(order, bounds, is_open, nx, boxes, chosen, starts):
+    """Write boxes and numbers of the Gaussians that touch an open tile; return how many there are.
+
+    starts: (out) Numbers of them in each tile, from the second entry on, shape (tiles + 1,).
+    """
+    # plain loops with scattered reads: the processor waits for many of them at a time
+    for i in range(len(order)):
+        p = order[i]
+        for c in range(4):
+            boxes[i, c] = bounds[p, c]
+    starts[:] = 0
+    active = 0
+    for i in range(len(order)):
+        touches_open = 0
+        for ty in range(boxes[i, 2] // TILE, boxes[i, 3] // TILE + 1):
+            for tx in range(boxes[i, 0] // TILE, boxes[i, 1] // TILE + 1):
+                starts[ty * nx + tx + 1] += is_open[ty * nx + tx]
+                touches_open |= is_open[ty * nx + tx]
+        for c in range(4):
+            boxes[active, c] = boxes[i, c]
+        chosen[active] = order[i]
+        active += touches_open
+    return active
+
+
+@njit_cached(nogil=True, error_model="numpy")
+def blend_tiles(order, ellipses, looks, bounds, canvas, nx, depths, side, surface):
+    """Blend Gaussians (see project) into a canvas (tiles, numbers), nx tiles wide.
 
     Args:
         order, ellipses, looks, bounds: Order from near to far; rows of `ProjectedGaussians`.
         canvas, nx, depths, side: (in/out), width in tiles, whether red is a depth, Side or None.
+        surface: None, or Surfaces with their canvas.
     """
     tiles = len(canvas)
     is_open = np.ones(tiles, dtype=np.uint8)
@@ -232,25 +309,8 @@ def blend_tiles(order, ellipses, looks, bounds, canvas, nx, depths, side):
     boxes = np.empty((BATCH, 4), dtype=np.int32)
     chosen = np.empty(BATCH, dtype=np.int64)
     for begin in range(0, len(order), BATCH):
-        # plain loops with scattered reads: the processor waits for many of them at a time
-        count = min(BATCH, len(order) - begin)
-        for i in range(count):
-            p = order[begin + i]
-            for c in range(4):
-                boxes[i, c] = bounds[p, c]
-        # Gaussians that touch an open tile are kept
-        starts[:] = 0
-        active = 0
-        for i in range(count):
-            touches_open = 0
-            for ty in range(boxes[i, 2] // TILE, boxes[i, 3] // TILE + 1):
-                for tx in range(boxes[i, 0] // TILE, boxes[i, 1] // TILE + 1):
-                    starts[ty * nx + tx + 1] += is_open[ty * nx + tx]
-                    touches_open |= is_open[ty * nx + tx]
-            for c in range(4):
-                boxes[active, c] = boxes[i, c]
-            chosen[active] = order[begin + i]
-            active += touches_open
+        batch_order = order[begin : begin + BATCH]
+        active = _touch_open_tiles(batch_order, bounds, is_open, nx, boxes, chosen, starts)
         for i in range(active):
             p = chosen[i]
             for c in range(5):
@@ -263,18 +323,23 @@ def blend_tiles(order, ellipses, looks, bounds, canvas, nx, depths, side):
             items = np.empty(2 * starts[tiles], dtype=np.int32)
         _assign_tiles(boxes[:active], is_open, nx, fill, items)
         depth = None if side is None else side.depth[chosen[:active]]
+        own_surface = None if surface is None else surface.rows[chosen[:active]]
         for t in range(tiles):
             if starts[t + 1] > starts[t]:
                 own = items[starts[t] : starts[t + 1]]
                 left, top = (t % nx) * TILE, (t // nx) * TILE
+                if surface is not None and not surface.is_drawn[t]:
+                    surface.is_drawn[t] = 1
+                    _clear_tile(canvas[t], t, *surface.shape)
                 if side is None:
                     is_open[t] = _draw_tile(
-                        canvas[t], own, batch[0], batch[1], left, top, depths, None, None, None
-                    )
+                        canvas[t], own, batch[0], batch[1], left, top, depths, None, None, None,
+                        own_surface,
+                    )  # fmt: skip
                 else:
                     is_open[t] = _draw_tile(
                         canvas[t], own, batch[0], batch[1], left, top, depths,
-                        side.limit[t], depth, side.is_behind,
+                        side.limit[t], depth, side.is_behind, own_surface,
                     )  # fmt: skip
 
 
@@ -293,7 +358,7 @@ def picture(canvas, background, image, transmittance):
     for y in range(height):
         for x in range(width):
             tile = canvas[(y // TILE) * nx + x // TILE]
-            start = (y % TILE) * _ROW + x % TILE
+            start = (y % TILE) * COLORS * TILE + x % TILE
             left = abs(tile[start])
             transmittance[y, x] = left
             for c in range(3):
@@ -308,7 +373,7 @@ def depths_of(canvas, expected, median):
     for y in range(height):
         for x in range(width):
             tile = canvas[(y // TILE) * nx + x // TILE]
-            start = (y % TILE) * _ROW + x % TILE
+            start = (y % TILE) * COLORS * TILE + x % TILE
             transmittance = abs(tile[start])
             # 1 - transmittance would lack digits where little is drawn
             total = tile[start + 3 * TILE]

@@ -9,7 +9,7 @@ import numpy as np
 
 from vgmpi.runtime.compile_cache import njit_cached
 
-from .compile_options import RAY
+from .compile_options import LEAF, RAY
 from .liquid_radiance import direction, shade_ray
 from .ray_marching import first_hit
 from .spray_drops import shade_drop
@@ -37,7 +37,7 @@ def _display_over(red, green, blue, through, flags):
     return red * cover, green * cover, blue * cover
 
 
-@njit_cached(**RAY)
+@njit_cached(**LEAF)
 def change_of_normal(hits, normals, j, k):
     """Return the largest change of the normal to a neighbor on the same surface, up to 0.8.
 
@@ -90,7 +90,7 @@ def _ray(stage, drop_depth, drop_normal, hit, wall, pixel, blur, location, d, p,
     return opaque
 
 
-@njit_cached(**RAY)
+@njit_cached(**LEAF)
 def _opaque_pixel(view, left, j, k, times, flags, out):
     """Write display values and transmittance of a pixel without the liquid to out (4,).
 
@@ -98,10 +98,20 @@ def _opaque_pixel(view, left, j, k, times, flags, out):
     """
     out[0] = out[1] = out[2] = out[3] = 0.0
     share, nearest, weight = 1.0 / (times * times), 0.0, 0.0
+    r = g = b = 0.0
+    first, before = view.light[j * times, k * times], np.float32(-1.0)
     for u in range(j * times, (j + 1) * times):
         for v in range(k * times, (k + 1) * times):
             light, through = view.light[u, v], left[u, v]
-            r, g, b = _display_over(light[0], light[1], light[2], through, flags)
+            # the background has the same light in all parts of a pixel
+            if (
+                through != before
+                or light[0] != first[0]
+                or light[1] != first[1]
+                or light[2] != first[2]
+            ):
+                r, g, b = _display_over(light[0], light[1], light[2], through, flags)
+                first, before = light, through
             out[0] += share * r
             out[1] += share * g
             out[2] += share * b
@@ -112,7 +122,7 @@ def _opaque_pixel(view, left, j, k, times, flags, out):
     return nearest / weight if weight > 0.0 else np.inf
 
 
-@njit_cached(**RAY)
+@njit_cached(**LEAF)
 def _has_drop(drop_depth, j, k, times):
     """Return whether a drop covers a part of a pixel."""
     for u in range(j * times, (j + 1) * times):

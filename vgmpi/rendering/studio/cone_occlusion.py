@@ -11,6 +11,7 @@ References:
     voxel cone tracing. Pacific Graphics 2011.
 """
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +26,7 @@ EXTINCTION = 2.2  # [1/cone width] extinction of filled space
 # a thin wall occludes fully, and the rim of a cell next to a floor little
 DIFFUSE, SOFT = 3.98, 1.056
 STRIDE = 1.2  # [cone widths] step of a wide cone
+OPAQUE = -np.log(0.02)  # [-] optical depth at which a cone ends
 MAX_STEPS = 500  # [-] of a wide cone
 SUPPORT = 3.0  # [cone widths] support of a sample
 TINT = 4  # [cells] edge of the cells of color
@@ -41,6 +43,7 @@ class Occlusion(NamedTuple):
         lower: Position of the first node of level 0, shape (3,) [m].
         cell: Cell size of level 0 [m].
         upper: Position of the last node, shape (3,) [m].
+        occupied: Corners of a box outside of which all levels are empty, shape (6,) [m].
         leap: Number of empty cells of level 1 around a cell, shape (cx, cy, cz) int16.
         color: Mean albedo of the opaque particles in cells of 4, shape (dx, dy, dz, 3) float32.
     """
@@ -51,6 +54,7 @@ class Occlusion(NamedTuple):
     lower: np.ndarray
     cell: float
     upper: np.ndarray
+    occupied: np.ndarray
     leap: np.ndarray
     color: np.ndarray
 
@@ -83,7 +87,8 @@ def occlusion(
     cell = cell_size(low, high, cells)
     lower = low - 0.05 * size - 2 * cell
     shape = ((high + 0.05 * size + 2 * cell - lower) / cell).astype(int) // 16 * 16 + 16
-    base = np.zeros(tuple(shape), np.float32)
+    flat = np.zeros(sum(int((shape >> q).prod()) for q in range(LEVELS)), np.float32)
+    base = flat[: shape.prod()].reshape(shape)
     tint = np.zeros((*(shape // TINT + 1), 4), np.float32)
     _deposit(
         np.ascontiguousarray(x, dtype=np.float64), np.asarray(volume, dtype=np.float64),
@@ -93,15 +98,26 @@ def occlusion(
         for axis in range(3):
             _smooth(base, axis)
         np.minimum(base, 1.0, out=base)
-    levels = [base]
-    for _ in range(LEVELS - 1):
-        levels.append(_halved(levels[-1]))
+    shapes = np.array([shape >> q for q in range(LEVELS)], np.int64)
+    ends = np.cumsum(shapes.prod(axis=1))
+    first = np.append(0, ends[:-1])
+    levels = [flat[a:b].reshape(n) for a, b, n in zip(first, ends, shapes)]
+    for level, halved in itertools.pairwise(levels):
+        _halve(level, halved)
     color = _spread(tint)
-    first = np.cumsum([0] + [level.size for level in levels[:-1]]).astype(np.int64)
-    shapes = np.array([level.shape for level in levels], np.int64)
-    flat = np.concatenate([level.ravel() for level in levels])
     upper = lower + (shape - 1) * cell
-    return Occlusion(flat, first, shapes, lower, cell, upper, _leaps(levels[1]), color)
+    box = _occupied(levels[-1], lower, cell * (1 << (LEVELS - 1)))
+    return Occlusion(flat, first, shapes, lower, cell, upper, box, _leaps(levels[1]), color)
+
+
+def _occupied(coarsest: np.ndarray, lower: np.ndarray, size: float) -> np.ndarray:
+    """Return the corners (6,) [m] of the box that the coarsest level, of cells of a size, fills."""
+    box = np.append(lower, lower)
+    filled = np.argwhere(coarsest > 0)
+    if len(filled):  # up to the neighbors of the filled nodes, which lie in the middle of cells
+        box[:3] += (filled.min(axis=0) - 1) * size
+        box[3:] += (filled.max(axis=0) + 2) * size
+    return box
 
 
 @njit_cached(nogil=True, error_model="numpy")
@@ -158,10 +174,17 @@ def _smooth(v, axis):
                     v[j, i, k] = smoothed
 
 
-def _halved(v: np.ndarray) -> np.ndarray:
-    """Return the next level: means of 2 x 2 x 2 cells."""
-    nx, ny, nz = (n // 2 for n in v.shape)
-    return v.reshape(nx, 2, ny, 2, nz, 2).mean(axis=(1, 3, 5), dtype=np.float32)
+@njit_cached(nogil=True, error_model="numpy")
+def _halve(v, out):
+    """Write the next level to out: means of 2 x 2 x 2 cells."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            a, b = v[2 * i, 2 * j], v[2 * i, 2 * j + 1]
+            c, d = v[2 * i + 1, 2 * j], v[2 * i + 1, 2 * j + 1]
+            for k in range(out.shape[2]):
+                first = a[2 * k] + a[2 * k + 1] + b[2 * k] + b[2 * k + 1]
+                second = c[2 * k] + c[2 * k + 1] + d[2 * k] + d[2 * k + 1]
+                out[i, j, k] = np.float32(0.125) * (first + second)
 
 
 def _spread(tint: np.ndarray) -> np.ndarray:
@@ -197,16 +220,16 @@ def level_value(pyramid, q, x, y, z):
         q: Level.
         x, y, z: Point [m].
     """
-    size = pyramid.cell * (1 << q)
+    scale = 1.0 / (pyramid.cell * (1 << q))
     shift = 0.5 * (1.0 - 1.0 / (1 << q))
     nx, ny, nz = pyramid.shapes[q, 0], pyramid.shapes[q, 1], pyramid.shapes[q, 2]
-    u = (x - pyramid.lower[0]) / size - shift
-    v = (y - pyramid.lower[1]) / size - shift
-    w = (z - pyramid.lower[2]) / size - shift
+    u = (x - pyramid.lower[0]) * scale - shift
+    v = (y - pyramid.lower[1]) * scale - shift
+    w = (z - pyramid.lower[2]) * scale - shift
     if not (u >= 0 and v >= 0 and w >= 0 and u < nx - 1 and v < ny - 1 and w < nz - 1):
-        return 0.0
+        return np.float32(0.0)
     i, j, k = int(u), int(v), int(w)
-    a, b, c = u - i, v - j, w - k
+    a, b, c = np.float32(u - i), np.float32(v - j), np.float32(w - k)
     p = pyramid.values
     o = pyramid.offsets[q] + (i * ny + j) * nz + k
     r = ny * nz
@@ -254,10 +277,14 @@ def cone(pyramid, p0, p1, p2, d0, d1, d2, tangent, start, extinction):
         extinction: Extinction per width of the cone.
     """
     begin, end = clip(pyramid.lower, pyramid.upper, p0, p1, p2, d0, d1, d2)
-    t, transmittance = max(start, begin), 1.0
+    box = pyramid.occupied
+    clear, last_distance = clip(box[:3], box[3:], p0, p1, p2, d0, d1, d2)
+    if clear > last_distance:
+        return 1.0
+    t, end, depth = max(start, begin), min(end, last_distance), 0.0
     cell, last = pyramid.cell, len(pyramid.offsets) - 1
-    q, size, clear = 0, cell, 0.0
-    while t < end and transmittance > 0.02:
+    q, size = 0, cell
+    while t < end and depth < OPAQUE:
         wide = max(2.0 * tangent * t, cell)
         step = max(0.6 * wide, 0.7 * cell)
         if t + SUPPORT * wide < clear:  # the space is empty
@@ -268,11 +295,11 @@ def cone(pyramid, p0, p1, p2, d0, d1, d2, tangent, start, extinction):
         x, y, z = p0 + t * d0, p1 + t * d1, p2 + t * d2
         s = _between_levels(pyramid, q, wide / size - 1.0, x, y, z)
         if s > 0.0:
-            transmittance *= np.exp(-extinction * s * step / wide)
+            depth += extinction * s * step / wide
         else:
             clear = t + leap(pyramid, x, y, z)
         t += step
-    return transmittance
+    return np.exp(-depth)
 
 
 @njit_cached(**LEAF)
@@ -284,7 +311,7 @@ def _between_levels(pyramid, q, f, x, y, z):
     return s
 
 
-@njit_cached(**RAY)
+@njit_cached(**LEAF)
 def wide_cone(pyramid, p0, p1, p2, d0, d1, d2, tangent, start):
     """Return the transmittance along a cone of ambient light, 0..1.
 
@@ -297,12 +324,16 @@ def wide_cone(pyramid, p0, p1, p2, d0, d1, d2, tangent, start):
         start: Distance from which on objects occlude [m].
     """
     begin, end = clip(pyramid.lower, pyramid.upper, p0, p1, p2, d0, d1, d2)
-    t, transmittance = max(start, begin), 1.0
+    box = pyramid.occupied
+    clear, last_distance = clip(box[:3], box[3:], p0, p1, p2, d0, d1, d2)
+    if clear > last_distance:
+        return 1.0
+    t, end, depth = max(start, begin), min(end, last_distance), 0.0
     cell, last = pyramid.cell, len(pyramid.offsets) - 1
     widest = cell * (1 << last)
-    q, size, clear = 0, cell, 0.0
+    q, size = 0, cell
     for _n in range(MAX_STEPS):
-        if t >= end or transmittance <= 0.02:
+        if t >= end or depth >= OPAQUE:
             break
         wide = min(max(2.0 * tangent * t, cell), widest)
         if t + SUPPORT * wide < clear:
@@ -313,11 +344,11 @@ def wide_cone(pyramid, p0, p1, p2, d0, d1, d2, tangent, start):
         x, y, z = p0 + t * d0, p1 + t * d1, p2 + t * d2
         s = _between_levels(pyramid, q, wide / size - 1.0, x, y, z)
         if s > 0.0:
-            transmittance *= np.exp(-DIFFUSE * STRIDE * s / (1.0 + SOFT - s))
+            depth += DIFFUSE * STRIDE * s / (1.0 + SOFT - s)
         else:
             clear = t + leap(pyramid, x, y, z)
         t += STRIDE * wide
-    return transmittance
+    return np.exp(-depth)
 
 
 @njit_cached(**LEAF)

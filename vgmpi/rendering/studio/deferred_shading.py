@@ -7,7 +7,7 @@ import numpy as np
 
 from vgmpi.runtime.compile_cache import njit_cached
 
-from .compile_options import RAY
+from .compile_options import LEAF, RAY
 from .cone_occlusion import EXTINCTION, cone
 from .light_rig import ambient
 from .liquid_radiance import direction
@@ -132,7 +132,7 @@ def light_at(stage, p, n, sand, liquid, key, sky, work):
     return openness
 
 
-@njit_cached(**RAY)
+@njit_cached(**LEAF)
 def surface_light(rig, d, n, albedo, kind, gloss, captures, key, sky, openness, out):
     """Write the light that a surface reflects towards the eye to out (3,).
 
@@ -236,7 +236,7 @@ def shade_opaque(stage, albedo, normal, kinds, left, block, liquid, captures):
                         view.light[j, k, m] += cover * out[m]
 
 
-@njit_cached(**RAY)
+@njit_cached(**LEAF)
 def _shared_depth(depth, normal, left, block, thickness, n, mean):
     """Return the depth of a block of pixels that shows one surface, or 0.
 
@@ -263,7 +263,7 @@ def _shared_depth(depth, normal, left, block, thickness, n, mean):
     return 0.5 * (low + high)
 
 
-@njit_cached(**RAY)
+@njit_cached(**LEAF)
 def _painted_normal(normal, cover, j, k, n):
     """Write the unit normal of a painted pixel to n (3,)."""
     size = 0.0

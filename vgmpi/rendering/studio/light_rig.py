@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from vgmpi.runtime.compile_cache import njit_cached
 
-from .compile_options import RAY
+from .compile_options import LEAF, RAY
 from .cone_occlusion import wide_cone
 
 KEY_COLOR = (1.0, 0.95, 0.88)
@@ -86,7 +86,7 @@ def rig(
     )  # fmt: skip
 
 
-@njit_cached(**RAY)
+@njit_cached(**LEAF)
 def smooth(a, b, x):
     """Return the Hermite step from 0 at a to 1 at b."""
     t = min(max((x - a) / (b - a), 0.0), 1.0)

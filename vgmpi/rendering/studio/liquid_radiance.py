@@ -10,7 +10,7 @@ import numpy as np
 
 from vgmpi.runtime.compile_cache import njit_cached
 
-from .compile_options import RAY
+from .compile_options import LEAF, RAY
 from .cone_occlusion import EXTINCTION, cone
 from .environment_radiance import far_light
 from .light_rig import mirrored_sky, smooth
@@ -273,7 +273,7 @@ def find_surface(stage, opaque_depth, hits, normals, pixel):
                 normals[j, k, m] = n[m]
 
 
-@njit_cached(**RAY)
+@njit_cached(**LEAF)
 def direction(view, u, v, d):
     """Write the unit direction of a pixel's ray to d.
 

@@ -9,8 +9,10 @@ import numpy as np
 from vgmpi.runtime.compile_cache import njit_cached
 
 NEIGHBORS = 14  # discs among which those of another face are searched
+REACH = 4.0  # [standard deviations] distance of the farthest of them
 WIDTH = 2.0  # [standard deviations] half width of a disc that counts as covered
 EDGE_COSINE = 0.85  # [-] between the normals of two faces, below which they meet at an edge
+TURN = np.sqrt(2.0 * (1.0 - EDGE_COSINE) / 3.0)  # [-] least change of some component of a normal
 LEAST_WIDTH = 0.1  # [-] least width that is left of a disc
 
 
@@ -27,31 +29,65 @@ def cut_at_edges(
     from scipy.spatial import cKDTree
 
     shift, cut = np.zeros_like(x), np.array(cov, dtype=np.float64)
-    if len(x) > 1:
+    reach = REACH * np.sqrt(0.5 * np.median(cut[:, (0, 3, 5)].sum(axis=1))) if len(x) else 0.0
+    rows = _rows_near_edges(x, normal, reach) if len(x) > 1 and reach > 0 else np.zeros(0, int)
+    if len(rows):
         count = min(NEIGHBORS + 1, len(x))
-        nearest = cKDTree(x).query(x, k=np.arange(2, count + 1))[1]
-        _cut(np.ascontiguousarray(x), np.ascontiguousarray(normal), nearest, shift, cut)
+        nearest = cKDTree(x).query(
+            x[rows], k=np.arange(2, count + 1), distance_upper_bound=reach
+        )[1]  # fmt: skip
+        nearest = np.where(nearest < len(x), nearest, rows[:, None])  # itself, where there is none
+        _cut(np.ascontiguousarray(x), np.ascontiguousarray(normal), rows, nearest, shift, cut)
     return shift, cut
 
 
+def _rows_near_edges(x: np.ndarray, normal: np.ndarray, reach: float) -> np.ndarray:
+    """Return the rows (m,) of discs in whose surroundings the normals differ as at an edge.
+
+    Args:
+        x: Centers, shape (n, 3) [m].
+        normal: Unit normals, shape (n, 3).
+        reach: Distance up to which they are compared, and more [m].
+    """
+    size = max(reach, 1e-6 * float(np.ptp(x, axis=0).max()))  # for keys of 64 bits
+    cell = np.floor((x - x.min(axis=0)) / size).astype(np.int64) + 1
+    shape = cell.max(axis=0) + 2
+    key = np.ravel_multi_index(tuple(cell.T), shape)
+    order = np.argsort(key, kind="stable")
+    starts = np.flatnonzero(np.append(True, np.diff(key[order]) > 0))
+    keys = key[order[starts]]
+    low, high = (f.reduceat(normal[order], starts) for f in (np.minimum, np.maximum))
+    lowest, highest = low.copy(), high.copy()
+    for a, b, c in np.indices((3, 3, 3)).reshape(3, -1).T - 1:
+        neighbor_keys = keys + (a * shape[1] + b) * shape[2] + c
+        match = np.minimum(np.searchsorted(keys, neighbor_keys), len(keys) - 1)
+        rows = np.flatnonzero(keys[match] == neighbor_keys)
+        lowest[rows] = np.minimum(lowest[rows], low[match[rows]])
+        highest[rows] = np.maximum(highest[rows], high[match[rows]])
+    turns = (highest - lowest >= TURN).any(axis=1)
+    return np.sort(order[np.repeat(turns, np.diff(np.append(starts, len(x))))])
+
+
 @njit_cached(nogil=True, error_model="numpy")
-def _cut(x, normal, nearest, shift, cov):
-    """Cut every disc along the two directions in which edges are closest.
+def _cut(x, normal, rows, nearest, shift, cov):
+    """Cut some discs along the two directions in which edges are closest.
 
     Args:
         x, normal: Centers [m] and normals, shape (n, 3).
-        nearest: Rows of the neighbors, shape (n, k).
+        rows: Rows of these discs, shape (m,).
+        nearest: Rows of their neighbors, shape (m, k).
         shift: (out) Displacements, shape (n, 3) [m].
         cov: Covariances, shape (n, 6) [m2] (in/out).
     """
     u, first = np.empty(3), np.empty(3)
-    for p in range(len(x)):
+    for m in range(len(rows)):
+        p, neighbors = rows[m], nearest[m]
         for axis in range(2):
-            if not _closest_edge(x, normal, nearest, p, axis, first, u):
+            if not _closest_edge(x, normal, neighbors, p, axis, first, u):
                 break
             sd = np.sqrt(max(_spread(cov[p], u), 0.0))
             upper = lower = WIDTH * sd
-            for q in nearest[p]:
+            for q in neighbors:
                 e, side = _distance(x, normal, p, q, u)
                 if side > 0.7:
                     upper = min(upper, e)
@@ -59,20 +95,20 @@ def _cut(x, normal, nearest, shift, cov):
                     lower = min(lower, e)
             share = max(0.5 * (upper + lower) / max(WIDTH * sd, 1e-300), LEAST_WIDTH)
             if share < 1.0:
-                for m in range(3):
-                    shift[p, m] += 0.5 * (upper - lower) * u[m]
+                for c in range(3):
+                    shift[p, c] += 0.5 * (upper - lower) * u[c]
                 _narrow(cov[p], u, share)
             first[:] = u
 
 
 @njit_cached(nogil=True, error_model="numpy")
-def _closest_edge(x, normal, nearest, p, axis, first, u):
+def _closest_edge(x, normal, neighbors, p, axis, first, u):
     """Write the unit direction in disc p to its closest edge to u (3,); return whether it has one.
 
     The second one, of axis 1, is at right angles to the first.
     """
     best, away = np.inf, np.empty(3)
-    for q in nearest[p]:
+    for q in neighbors:
         e, s = _towards(x, normal, p, q, away)
         if e < 0.0 or e >= best:
             continue
