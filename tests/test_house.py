@@ -28,6 +28,7 @@ OUTSIDE = {  # packages that only some files may use
         "vgmpi/solver/engines/cuda/",
     ),
     "llvmlite": (
+        "vgmpi/runtime/callee_code.py",
         "vgmpi/runtime/cpu_features.py",
         "vgmpi/kernels/simd/",
     ),
