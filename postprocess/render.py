@@ -20,7 +20,7 @@ from typing import Any
 from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.rendering import image_io, render_config
 from vgmpi.rendering.finished_pictures import digest_of, find_finished, read_picture
-from vgmpi.rendering.frame_processes import render_in_processes
+from vgmpi.rendering.frame_processes import compiled_beside, render_in_processes
 from vgmpi.rendering.frame_progress import FrameProgress
 from vgmpi.rendering.frame_ranks import OtherRankError, render_on_ranks, run_on_all_ranks
 from vgmpi.rendering.frame_renderer import FrameRenderer, RenderedView
@@ -221,7 +221,10 @@ def _draw(
 ) -> int:
     """Write the picture or the video."""
     if output.suffix == ".png":
-        return _one_picture(painter, output, args) if ranks is None or ranks.rank == 0 else 0
+        if ranks is not None and ranks.rank:
+            return 0
+        with compiled_beside(painter, settings_folder):
+            return _one_picture(painter, output, args)
     return _video(painter, output, settings_folder, args, ranks)
 
 

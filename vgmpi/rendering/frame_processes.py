@@ -20,11 +20,15 @@ from pathlib import Path
 from typing import Any
 
 from vgmpi.io.run_reader import RunError, RunReader
+from vgmpi.runtime.compile_notice import call_at_first_compilation
+from vgmpi.runtime.processor_cores import physical_cores
 
 from . import render_config
 from .frame_renderer import FrameRenderer, RenderedView
+from .prepared_run import open_run
 
 Task = tuple[int, float]  # a frame's number and its part of the video
+SMALLEST = 16  # [pixels] longer side of a picture that is drawn to compile what draws it
 AHEAD = 2  # [frames per process] that may be drawn before the next one in order is
 
 
@@ -150,6 +154,51 @@ def _work(
             pipe.send(reply)
         except OSError:
             return
+
+
+@contextlib.contextmanager
+def compiled_beside(painter: FrameRenderer, settings_folder: Path) -> Iterator[None]:
+    """Let another core compile what a picture of the studio needs last, while its first is drawn.
+
+    A process is started only if something is to be compiled in the block; it ends with the block.
+
+    Args:
+        painter: Renderer of this process.
+        settings_folder: Folder of render.toml.
+    """
+    processes: list[Any] = []
+    is_over = False
+
+    def start() -> None:
+        """Start the process."""
+        if not is_over:
+            process = multiprocessing.get_context("spawn").Process(
+                target=_draw_nothing,
+                args=(str(painter.run.folder), painter.chosen, settings_folder, painter.quick),
+                daemon=True,
+            )
+            process.start()
+            processes.append(process)
+
+    if painter.studio is not None and physical_cores() > 1:
+        call_at_first_compilation(start)
+    try:
+        yield
+    finally:
+        is_over = True
+        for process in processes:
+            process.kill()  # what it has compiled is on disk
+            process.join()
+
+
+def _draw_nothing(
+    folder: str, chosen: render_config.Settings, settings_folder: Path, quick: bool
+) -> None:
+    """Draw a picture without particles, for which the same functions are compiled."""
+    end_with_parent()
+    logging.disable()
+    size = SMALLEST if quick else None
+    FrameRenderer(open_run(folder, prepared=True), chosen, settings_folder, longest=size).warm_up()
 
 
 def end_with_parent() -> None:

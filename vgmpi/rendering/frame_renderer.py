@@ -60,7 +60,7 @@ class FrameRenderer:
     ):  # fmt: skip
         self.run, self.chosen = run, chosen
         self.alpha, self.depth, self.draft = alpha, depth, draft
-        quick = draft or longest is not None
+        quick = self.quick = draft or longest is not None
         size = chosen.picture
         # some cameras do not need it, and it reads files
         box = box or functools.cache(lambda: visible_extent(run))
@@ -150,6 +150,12 @@ class FrameRenderer:
                     parts = self.studio.moment(sample_frame, index)
             samples.append(self._pixels(sample_frame, parts, cameras, sample))
         return [self._mean(views) for views in zip(*samples)]
+
+    def warm_up(self) -> None:
+        """Draw an empty studio, so that what lights and composes its pictures is compiled."""
+        cameras = [view.camera_at(0.0, 0.0) for view in self.views]
+        if self.studio is not None:
+            self._pixels({}, self.studio.empty_moment(), cameras, 0)
 
     def _mean(self, views: tuple[Pixels, ...]) -> Pixels:
         """Average the samples of a view; the depth is that of the first sample."""

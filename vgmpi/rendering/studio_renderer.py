@@ -143,6 +143,14 @@ class Studio:
             opaque, normals, kinds, shades, grain, medium, pyramid, plane, spray, len(rows) > 0
         )
 
+    def empty_moment(self) -> Moment:
+        """Return a frame of nothing but the ground."""
+        none, nowhere = np.zeros((0, 3)), np.zeros(0, np.int64)
+        medium, drops = self._medium({}, 0, nowhere, none, nowhere, None)
+        pyramid = hiding.occlusion(none, np.zeros(0), none, self.domain.low, self.domain.high, 1)
+        plane = studio_ground.close_rim(ground_of(self.chosen, self.domain, pyramid, self.rig))
+        return Moment([], [], [], [], None, medium, pyramid, plane, drops, False)
+
     def _stretches(self, x, ids, rows, limits) -> np.ndarray:
         """Return stretches (n, 6) of the lattice around the particles `rows` of a frame."""
         torn, links = self.tears
@@ -263,8 +271,6 @@ class Studio:
         margin = 2.0 * float(self.domain.size.max())
         inside = (x > self.domain.low - margin) & (x < self.domain.high + margin)
         return np.all(inside, axis=1)
-
-    # ---- a picture -------------------------------------------------------------------------
 
     def render(
         self, moment: Moment, camera: Camera, picture: np.ndarray, options: dict, lens: tuple
