@@ -10,8 +10,12 @@ from tests.support import long_tests
 from tests.support.cost_counter import COSTS, count_processes
 
 SIGNALS = (signal.SIGUSR1, signal.SIGTERM, signal.SIGHUP, signal.SIGXCPU)
+# who runs all this under `nohup` has SIGHUP ignored, which every process inherits
+for _number in SIGNALS:
+    if signal.getsignal(_number) is signal.SIG_IGN:
+        signal.signal(_number, signal.SIG_DFL)
 HEARD = {s: signal.getsignal(s) for s in SIGNALS}
-# who runs all this behind `&` in a script has it ignored, which every process inherits
+# and behind `&` in a script SIGINT
 HEARD[signal.SIGINT] = signal.default_int_handler
 
 count_processes()

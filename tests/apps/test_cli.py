@@ -25,7 +25,7 @@ def scene(tmp_path):
 def test_check_and_plan_write_nothing(scene, capsys):
     assert cli.main([str(scene), "--check"]) == 0
     assert "0 errors, 0 warnings" in capsys.readouterr().out
-    assert cli.main([str(scene), "--plan"]) == 0
+    assert cli.main([str(scene), "--plan", "-v"]) == 0
     said = capsys.readouterr().out
     for word in (
         "4,724 particles",

@@ -129,7 +129,7 @@ LAYOUTS = {
     ),
     "name is a path": (HEAD + 'name = "../ball"\nbox = [1, 2, 30, 40]\n', "must begin with"),
     "name is floor": (HEAD + 'name = "floor"\nbox = [1, 2, 30, 40]\n', "no object can be called"),
-    "long name": (HEAD + f'name = "{"a" * 200}"\nbox = [1, 2, 30, 40]\n', "at most 60 letters"),
+    "long name": (HEAD + f'name = "{"a" * 100}"\nbox = [1, 2, 30, 40]\n', "at most 60 letters"),
     "no name": (HEAD + "box = [1, 2, 30, 40]\n", "name: required key is missing"),
     "material": (BOXED + 'material = "ruber"\n', "no such material (did you mean 'rubber'?)"),
     "support": (BOXED + 'support = "tabel"\n', "there is no object 'tabel'"),

@@ -75,6 +75,7 @@ ANSWERS: dict[str, dict[str, str]] = {
         "validate_collider_motion": "return []",
         "validate_body_motion": "return []",
         "validate_free_body": "return []",
+        "motion_steps": "return np.zeros(0)",
     },
     "vgmpi.kernels.rigid.joint_rows": {},
     "vgmpi.kernels.rigid.joint_impulses": {},

@@ -4,6 +4,7 @@ Expected: what its row says; in every one no particle and no bit of a rest volum
 stays to 1e-12 of the largest sum m |v| where nothing pushes on it, nothing hangs.
 """
 
+import contextlib
 import dataclasses
 
 import numpy as np
@@ -57,14 +58,15 @@ def test_lost_momentum_is_seen():
 
 
 def test_a_lost_particle_is_seen(monkeypatch):
-    def run(*given, **more):
-        this = real(*given, **more)
-        group = this.simulation.groups[0]
-        group.f[12, group.index()[0]] *= 1 + 2 * np.finfo(float).eps  # its rest volume
-        return this
+    @contextlib.contextmanager
+    def simulate(*given, **more):
+        with real(*given, **more) as this:
+            yield this
+            group = this.simulation.groups[0]
+            group.f[12, group.index()[0]] *= 1 + 2 * np.finfo(float).eps  # its rest volume
 
-    real = limit_cases.run
-    monkeypatch.setattr(limit_cases, "run", run)
+    real = limit_cases.simulate
+    monkeypatch.setattr(limit_cases, "simulate", simulate)
     assert "lost" in limit_cases.run_case(ROWS["E = 1e3 Pa"]).summary
 
 

@@ -201,7 +201,9 @@ def test_a_preview_loads_nothing_that_it_does_not_need(out, tmp_path, preset):
     assert Path(path).name == "preview.png" and Path(path).is_file()
     code, frozen, *loaded = last.split()
     assert code == "0" and frozen == "True"
-    needed = ("scipy.ndimage", "scipy.special") if preset == "studio" else ()
+    # the last two: neighbors in the surfaces of shapes
+    studio = "scipy.ndimage", "scipy.special", "scipy.sparse", "scipy.spatial"
+    needed = studio if preset == "studio" else ()
     assert "numba" in loaded
     assert not [name for name in SLOW if name in loaded and name not in needed]
 

@@ -71,7 +71,8 @@ def test_settings_cameras_and_backgrounds_are_files(odd):
 def test_settings_of_a_renderer_are_a_file(odd):
     command = [sys.executable, "-m", "postprocess.render", odd.parent, odd]
     done = launch.run(command)
-    assert done.returncode == 2 and "is no regular file" in done.stderr, done.stderr
+    kind = "is a folder" if odd.is_dir() else "is no regular file"
+    assert done.returncode == 2 and kind in done.stderr, done.stderr
 
 
 def test_a_scene_is_not_large(tmp_path, capsys):

@@ -4,8 +4,7 @@ import logging
 import sys
 import threading
 import time
-
-from tqdm import tqdm
+from typing import Any
 
 from vgmpi.runtime.duration_text import format_duration
 
@@ -33,7 +32,7 @@ class FrameProgress:
         self.total, self.quiet = total, quiet
         self.begun_with = self.count = finished
         self.began = time.monotonic()
-        self.bar: tqdm | None = None
+        self.bar: Any = None  # tqdm, on a terminal
         self.ended = threading.Event()
         self.thread = threading.Thread(target=self._show_repeatedly, daemon=True)
 
@@ -41,6 +40,8 @@ class FrameProgress:
         if self.quiet:
             return self
         if sys.stderr.isatty():
+            from tqdm import tqdm  # a single picture does without
+
             bar_format = "{l_bar}{bar}| {postfix}"
             self.bar = tqdm(total=self.total, initial=self.count, bar_format=bar_format)
             self._show()
