@@ -6,7 +6,6 @@ for the other process.
 """
 
 import contextlib
-import ctypes
 import logging
 import multiprocessing
 import os
@@ -21,6 +20,7 @@ from typing import Any
 
 from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.runtime.compile_notice import call_at_first_compilation
+from vgmpi.runtime.death_signal import die_with_parent
 from vgmpi.runtime.processor_cores import physical_cores
 
 from . import render_config
@@ -206,10 +206,7 @@ def end_with_parent() -> None:
     parent = multiprocessing.parent_process()
     assert parent is not None and parent.pid is not None
     if sys.platform == "linux":
-        set_death_signal = 1  # PR_SET_PDEATHSIG
-        prctl = getattr(ctypes.CDLL(None), "prctl", None)
-        if prctl is not None:
-            prctl(set_death_signal, int(signal.SIGKILL))
+        die_with_parent(signal.SIGKILL)()
         if os.getppid() != parent.pid:  # it ended before
             os._exit(1)
 

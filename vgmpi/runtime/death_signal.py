@@ -8,7 +8,7 @@ _SET_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG
 
 
 def die_with_parent(number: signal.Signals) -> Callable[[], None]:
-    """Return a function for subprocess.Popen: the kernel signals the child when its parent dies.
+    """Return a function to call in a child: the kernel then signals it when its parent dies.
 
     Args:
         number: The signal.
