@@ -89,7 +89,7 @@ def usage_error_code(error: Exception) -> int:
     It is 2, for what the user can correct, but 1 for a disk that is full while files are written,
     as in a run. Programs such as ffmpeg tell it by the text of the system only.
     """
-    full = [os.strerror(number) for number in (errno.ENOSPC, errno.EDQUOT)]
+    full = [os.strerror(number) for number in FULL]
     return 1 if any(text in str(error) for text in full) else 2
 
 
