@@ -252,6 +252,14 @@ def test_what_only_pours_is_in_no_walls_way(convert, capture):
     assert not named(lines, "boundary_conditions.0.x_plane")
 
 
+def test_a_name_longer_than_files_allow_is_a_box(convert):
+    """No file has the name: a box stands in, under a name that a scene may have."""
+    scene, lines = convert(several(({}, {"center_point": [2, 2, 2.5], "model_path": "9" * 500})))
+    (lost,) = named(lines, "preprocess_params.0.model_path")
+    assert "File name too long" in lost
+    assert scene.object[0].name.startswith("body 99") and len(scene.object[0].name) <= 120
+
+
 def test_what_is_static_is_scenery(convert):
     bowl = ({"static": True, "E": 5e3}, {"center_point": [2, 2, 1]})
     ball = ({}, {"center_point": [2, 2, 2.5]})

@@ -16,6 +16,7 @@ from vgmpi.gaussians.capture_notes import log_capture_notes
 from vgmpi.gaussians.formats import registry
 from vgmpi.gaussians.formats.validation import GaussianFileError
 from vgmpi.runtime.config.schema import format_input
+from vgmpi.scene.objects import MAX_NAME_BYTES
 
 from . import source_schema
 from .config_reader import Body, Config, ConvertError, KeyPath, Report, key_error
@@ -242,7 +243,10 @@ def find_file(config: Config, k: int, files_given: list[Path]) -> tuple[Path | N
         return None, "no file has such a name"
     # Relative to the current folder, as in their program; or to the folder that contains config/.
     for folder in (Path(), config.path.parent, config.path.parent.parent):
-        file = _model_file(folder / model_path)
+        try:
+            file = _model_file(folder / model_path)
+        except OSError as error:  # a name too long for a file, a folder that may not be read
+            return None, f"{error.strerror}; --gaussians names the files of all bodies in order"
         if file is not None:
             return file, ""
     return None, f"{model_path} is not here; --gaussians names the files of all bodies in order"
@@ -268,6 +272,7 @@ def _name(body: Body, file: Path | None, used_names: set[str]) -> str:
         stem = "body"
     name = re.sub(r"[^\w -]", "_", stem).strip() or "body"
     name = name if name[0].isalpha() else f"body {name}"
+    name = name.encode()[: MAX_NAME_BYTES - 4].decode(errors="ignore").strip()
     base, count = name, 1
     while name in used_names:
         count += 1
