@@ -36,8 +36,8 @@ def export_points(
     for index in tqdm(numbers, unit="frame", disable=True if args.quiet else None):
         frame = run.frame(index)
         path = folder / f"frame_{index:05d}.{FORMAT}"
-        fields = {name: a for name, a in frame.items() if name not in ("x", "poses")}
-        mesh_files.write_vtp(path, frame["x"], None, fields)
+        fields = {name: a for name, a in frame.items() if name not in ("positions", "poses")}
+        mesh_files.write_vtp(path, frame["positions"], None, fields)
         files[path.name] = float(run.times[index])
         mesh_files.write_pvd(folder / "points.pvd", files)
-    log.info("%d files of %d particles", len(numbers), len(frame["x"]))
+    log.info("%d files of %d particles", len(numbers), len(frame["positions"]))

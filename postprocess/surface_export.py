@@ -132,7 +132,7 @@ def frame_surface(
     fields |= {name: frame[name][chosen] for name in VERTEX_FIELDS if name in frame}
     spacing = float(np.cbrt(np.median(look.vol0[rows[chosen]]))) if len(chosen) else 1.0
     box = None if size is None else np.array(size, np.float64)
-    mesh = reconstruct_surface(frame["x"][chosen], spacing, fields, box, options.steps)
+    mesh = reconstruct_surface(frame["positions"][chosen], spacing, fields, box, options.steps)
     turned = {k: v @ options.rotation.T for k, v in mesh.fields.items() if k == "velocity"}
     return SurfaceMesh(
         mesh.vertices @ options.rotation.T,

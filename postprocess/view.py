@@ -42,10 +42,14 @@ def picture(run: RunReader, index: int, color: str, path: Path, args: argparse.N
     except RunError as error:
         raise RunError(f"--color: {error}") from None
     size = run.scene.get("domain", {}).get("size")
-    lower, upper = (np.zeros(3), np.array(size)) if size else (frame["x"].min(0), frame["x"].max(0))
+    lower, upper = (
+        (np.zeros(3), np.array(size))
+        if size
+        else (frame["positions"].min(0), frame["positions"].max(0))
+    )
     plotter = pv.Plotter(off_screen=True, window_size=args.size)
     plotter.set_background("white")  # type: ignore[arg-type]  # its decorator hides self
-    points = pv.PolyData(np.ascontiguousarray(frame["x"], dtype=np.float32))
+    points = pv.PolyData(np.ascontiguousarray(frame["positions"], dtype=np.float32))
     plotter.add_mesh(
         points,
         scalars=values,

@@ -1,7 +1,7 @@
 """Multiphase physics on 3D Gaussians, from Python.
 
     scene = vgmpi.load("scene.toml", {"domain.cell": "1 cm"})
-    run = vgmpi.run(scene, on_frame=lambda run: print(run.time, run.array("x").mean(0)))
+    run = vgmpi.run(scene, on_frame=lambda run: print(run.time, run.array("positions").mean(0)))
     with vgmpi.simulate(scene) as sim: ...  # step by step
 
 Nothing is imported before it is used. See docs/tutorial/python.md.

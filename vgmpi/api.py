@@ -8,7 +8,7 @@ Example:
     print(f"{vgmpi.plan(scene).particles} particles")
     run = vgmpi.run(scene, "out", on_frame=lambda run: print(run.time))
     files = vgmpi.read("out")
-    print(files.times, files.frame(-1)["x"].mean(axis=0))
+    print(files.times, files.frame(-1)["positions"].mean(axis=0))
     ```
 """
 
@@ -202,7 +202,7 @@ def simulate(
         ```python
         with vgmpi.simulate(scene, "out") as sim:
             for step in sim:
-                if sim.array("x")[:, 2].min() < 0.02:
+                if sim.array("positions")[:, 2].min() < 0.02:
                     sim.stop(frame=True)
         print(sim.code, sim.time)
         ```

@@ -73,7 +73,7 @@ def test_the_controlled_experiment_of_the_docs(tmp_path):
     measured, weight = (float(number) for number in re.findall(r"[\d.]+(?= N)", force))
     assert measured == pytest.approx(weight, rel=1e-4) and 5 < weight < 6
     files = vgmpi.read(tmp_path / "held")
-    assert files.frame(-1)["x"][:, 2].mean() == pytest.approx(0.2 - 6.125e-3, abs=1e-5)
+    assert files.frame(-1)["positions"][:, 2].mean() == pytest.approx(0.2 - 6.125e-3, abs=1e-5)
     assert list((tmp_path / "held" / "checkpoints").glob("*.h5"))
 
 
@@ -147,20 +147,25 @@ def test_nothing_is_written_without_a_folder(tmp_path, monkeypatch):
     assert [f[:2] for f in frames] == [(0, 0.0), (1, 0.005), (2, 0.01)]
     assert [f[2] for f in frames] == pytest.approx([0, -0.049, -0.098], rel=1e-9, abs=1e-15)
     assert run.ledger[0]["mass"] == pytest.approx(vgmpi.plan(scene).particles * 1e-3, rel=1e-12)
-    found = run.arrays("id", "J", "vol0", "object", "C", "x")
+    found = run.arrays("id", "J", "vol0", "object", "C", "positions")
     assert (found["id"] == np.arange(len(found["id"]))).all()
-    assert {name: a.shape[1:] for name, a in found.items() if a.ndim > 1} == {"C": (9,), "x": (3,)}
+    assert {name: a.shape[1:] for name, a in found.items() if a.ndim > 1} == {
+        "C": (9,),
+        "positions": (3,),
+    }
 
 
 def test_the_same_with_and_without_files_and_ranks(tmp_path):
     scene = vgmpi.load("a.toml", text=SCENE)
-    one = vgmpi.run(scene, tmp_path / "out").arrays("x", "velocity")
+    one = vgmpi.run(scene, tmp_path / "out").arrays("positions", "velocity")
     for n in (1, 3):
         for found in simulated_ranks.run(
-            n, lambda r: vgmpi.run(scene, ranks=r).arrays("x", "velocity")
+            n, lambda r: vgmpi.run(scene, ranks=r).arrays("positions", "velocity")
         ):
             assert all((found[name] == one[name]).all() for name in one)
-    assert (vgmpi.read(tmp_path / "out").frame(-1)["x"] == one["x"].astype(np.float32)).all()
+    assert (
+        vgmpi.read(tmp_path / "out").frame(-1)["positions"] == one["positions"].astype(np.float32)
+    ).all()
 
 
 def test_plain_numpy_has_one_rank_and_one_thread(tmp_path):

@@ -62,7 +62,7 @@ def test_a_loop_makes_every_step(scene, whole, tmp_path):
     assert sim.code == 0 and list(sim) == []
     assert steps == list(range(1, whole[0].step + 1)) and times == sorted(set(times))
     assert at_frames == [0.005, 0.01]
-    one, other = (run.arrays("x", "velocity", "F") for run in (sim, whole[0]))
+    one, other = (run.arrays("positions", "velocity", "F") for run in (sim, whole[0]))
     assert all((one[name] == other[name]).all() for name in one)
     assert len(vgmpi.read(tmp_path / "out")) == 3
 
@@ -85,10 +85,10 @@ def test_arrays_are_those_of_the_files_and_read_only(whole):
 
 
 def test_a_name_that_no_file_has(whole):
-    with pytest.raises(KeyError, match=r"there is no array 'v'.*; there are id, x, velocity, J"):
+    with pytest.raises(KeyError, match=r"there is no array 'v'.*; there are id, positions, velocity, J"):
         whole[0].array("v")
     with pytest.raises(KeyError, match=r"no array 'velocities' \(did you mean 'velocity'\?\)"):
-        whole[0].arrays("x", "velocities")
+        whole[0].arrays("positions", "velocities")
 
 
 def test_a_loop_that_is_left_goes_on(scene, whole):
@@ -99,7 +99,7 @@ def test_a_loop_that_is_left_goes_on(scene, whole):
         assert sim.step == 3 and sim.code is None
         last = list(sim)[-1]
     assert last == whole[0].step
-    assert (sim.array("x") == whole[0].array("x")).all()
+    assert (sim.array("positions") == whole[0].array("positions")).all()
 
 
 def test_stop_ends_with_a_checkpoint(scene, whole, tmp_path):
@@ -128,7 +128,7 @@ def test_stop_with_a_frame(scene, tmp_path):
                 sim.stop(frame=True)
     files = vgmpi.read(tmp_path / "out")
     assert [*files.times] == [0.0, sim.time]
-    assert (files.frame(1)["x"] == sim.array("x").astype(np.float32)).all()
+    assert (files.frame(1)["positions"] == sim.array("positions").astype(np.float32)).all()
 
 
 def test_stop_before_the_first_step_and_in_on_frame(scene, tmp_path):

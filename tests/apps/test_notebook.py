@@ -65,7 +65,9 @@ def test_frames(folder):
     assert len(run.frames) == 3 and [frame.number for frame in run.frames] == [0, 1, 2]
     last, read = run.frames[-1], vgmpi.read(folder).frame(2)
     assert last.number == 2 and last.time == pytest.approx(0.02)
-    assert (last.positions == read["x"]).all() and (last.velocities == read["velocity"]).all()
+    assert (last.positions == read["positions"]).all() and (
+        last.velocities == read["velocity"]
+    ).all()
     assert (last["J"] == read["J"]).all() and set(last.names) == set(read)
     assert [frame.number for frame in run.frames[1:]] == [1, 2]
     fallen = run.frames[0].positions.mean(0) - last.positions.mean(0)
@@ -113,7 +115,7 @@ def test_what_is_missing(folder, tmp_path):
         run.frames[3]
     with pytest.raises(KeyError, match="no probe 'bell'; there are ball, crate"):
         run.probes["bell"]
-    with pytest.raises(RunError, match=r"frame 1 has no array 'stress'; it has id, x"):
+    with pytest.raises(RunError, match=r"frame 1 has no array 'stress'; it has id, positions"):
         run.frames[1]["stress"]
     with pytest.raises(RunError, match="no such folder"):
         vgmpi.open_run(tmp_path / "absent")

@@ -34,7 +34,7 @@ def run_to_end(scene, *flags):
     known = RunReader(scene.parent / "out")
     cell = tomllib.loads(scene.read_text())["domain"]["cell"]
     assert len(known) > 1
-    return min(known.frame(k)["x"][:, 2].min() for k in range(len(known))) / cell
+    return min(known.frame(k)["positions"][:, 2].min() for k in range(len(known))) / cell
 
 
 @pytest.mark.parametrize(

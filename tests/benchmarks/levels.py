@@ -34,7 +34,7 @@ def last(found: RunOutcome, frame: int = -1) -> tuple[np.ndarray, np.ndarray]:
     """Places (n, 3) [m] and velocities (n, 3) [m/s], in the order of the particles' numbers."""
     fields = found.run.frame(len(found.run) + frame if frame < 0 else frame)
     order = np.argsort(fields["id"])
-    return tuple(np.asarray(fields[key], float)[order] for key in ("x", "velocity"))
+    return tuple(np.asarray(fields[key], float)[order] for key in ("positions", "velocity"))
 
 
 def dam_break(found: RunOutcome) -> float:

@@ -59,7 +59,7 @@ class _Watch:
     def frame(self, this: Run) -> None:
         """Record the first arrays and compare the momentum."""
         if not self.first:
-            self.first = this.arrays("x", "velocity", "vol0", "object", "id")
+            self.first = this.arrays("positions", "velocity", "vol0", "object", "id")
             self.first["bound"] = this.simulation.bound()
             self.start = self._momentum(this)
             self.began = time.perf_counter()  # kernels have been compiled

@@ -97,15 +97,17 @@ def collision(one: dict, other: dict, speed: float, end: float, **more) -> str:
 
 def middle(run: Run, thing: int, axis: int = 2) -> float:
     """Mean position of an object's particles [m]."""
-    found = run.arrays("x", "object")
-    return float(found["x"][found["object"] == thing, axis].mean())
+    found = run.arrays("positions", "object")
+    return float(found["positions"][found["object"] == thing, axis].mean())
 
 
 def _moved(thing: int, low: float, high: float, axis: int = 2):
     """The object's middle moves by low .. high [m]."""
 
     def check(run: Run, first: dict) -> tuple[bool, str]:
-        way = middle(run, thing, axis) - float(first["x"][first["object"] == thing, axis].mean())
+        way = middle(run, thing, axis) - float(
+            first["positions"][first["object"] == thing, axis].mean()
+        )
         return low <= way <= high, f"moved {way * 1e3:+.2f} mm"
 
     return check
@@ -215,7 +217,7 @@ def _few() -> list[Row]:
         )  # fmt: skip
 
         def flies(run: Run, first: dict) -> tuple[bool, str]:
-            way = run.array("x") - first["x"] - 0.1 * np.array([1, 0.5, -0.25])
+            way = run.array("positions") - first["positions"] - 0.1 * np.array([1, 0.5, -0.25])
             off = float(np.abs(way).max())
             return len(way) == 1 and off < 1e-9, f"{len(way)} particle, off by {off:.0e} m"
 
@@ -249,7 +251,7 @@ def _edges() -> list[Row]:
         )
 
         def on_edges(run: Run, first: dict) -> tuple[bool, str]:
-            at = run.array("x") / (4 * DX)
+            at = run.array("positions") / (4 * DX)
             edge = int((np.abs(at - np.round(at)) < 1e-12).sum())
             return edge > 0, f"{edge} coordinates on block edges at the end"
 
@@ -332,7 +334,7 @@ def _endings() -> list[Row]:
     )
 
     def returns(run: Run, first: dict) -> tuple[bool, str]:
-        top = float(run.array("x")[:, 2].max())
+        top = float(run.array("positions")[:, 2].max())
         return top < 0.06 + 2 * DX, f"highest drop at {top * 1e3:.0f} mm"
 
     soft = {**WATER, "tait_coefficient": 10}

@@ -100,7 +100,7 @@ def write_cloud(folder: Path, count: int, frames: int) -> list[Path]:
     F = np.tile(np.eye(3, dtype="f4").reshape(9), (count, 1))
     for k in range(frames):
         x = (rows["x0"] * (1 - 0.02 * k)).astype("f4")
-        fields = {"x": x, "velocity": x, "J": np.ones(count, "f4"), "F": F,
+        fields = {"positions": x, "velocity": x, "J": np.ones(count, "f4"), "F": F,
                   "object": rows["object"]}  # fmt: skip
         paths.append(files.write(k, 0.04 * k, k, np.arange(count), fields))
     return paths

@@ -88,8 +88,11 @@ def moments(one: FrameRenderer, frame: int) -> np.ndarray:
 
         def later(index, k=k):
             now = load(index)
-            x = np.asarray(now["x"], dtype=np.float64)
-            return {**now, "x": x + k * STEP * np.asarray(now["velocity"], dtype=np.float64)}
+            x = np.asarray(now["positions"], dtype=np.float64)
+            return {
+                **now,
+                "positions": x + k * STEP * np.asarray(now["velocity"], dtype=np.float64),
+            }
 
         one.look.frame = later
         out.append(255 * one.pixels_of(frame, 0.0)[0][0].astype(np.float64))

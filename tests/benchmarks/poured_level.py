@@ -42,7 +42,7 @@ def level_over_poured(scene_path: Path, folder: Path, frame: int, liquid: str) -
     scene, run = load(scene_path), RunReader(folder)
     cells, dx = scene.domain.cells, scene.domain.cell
     state = run.frame(frame)
-    x, volume, owner = state["x"], run.gaussians.vol0, run.gaussians.object
+    x, volume, owner = state["positions"], run.gaussians.vol0, run.gaussians.object
     if "id" in state:
         volume, owner = volume[state["id"]], owner[state["id"]]
     material = np.array([entry.get("material") for entry in run.objects])[owner]

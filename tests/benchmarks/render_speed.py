@@ -121,7 +121,7 @@ class Subject:
         # the rotation is zero, but is processed like that of any solid
         F = np.tile(rotation_gradient(0).astype("f4"), (kernels, 1))
         J = np.ones(kernels, dtype="f4")
-        self.frame = {"id": np.arange(kernels), "x": x, "F": F, "J": J}
+        self.frame = {"id": np.arange(kernels), "positions": x, "F": F, "J": J}
         box = (np.full(3, -0.5), np.full(3, 0.5))
         chosen = (LiquidSettings(), Light(), lambda: box, Path())
         self.liquids = Liquids(self.look, *chosen) if surface else None

@@ -70,16 +70,16 @@ def test_what_a_frame_says_of_itself_is_looked_at(out):
             f.attr("", "schema", file_layout.SCHEMA)
             f.whole("VTKHDF/NumberOfPoints", np.array([damaged_files.TOTAL]))
             f.rows("VTKHDF/PointData/id", other.get("id", ids))
-            f.rows("VTKHDF/Points", columns(ids)["x"].astype(other.get("type", "f4")))
+            f.rows("VTKHDF/Points", columns(ids)["positions"].astype(other.get("type", "f4")))
             f.whole("frame", np.array(other.get("frame", 1)))
             f.seal()
 
     written()
-    assert len(run.frame(1)["x"]) == damaged_files.TOTAL
+    assert len(run.frame(1)["positions"]) == damaged_files.TOTAL
     for other, said in (
         ({"id": np.arange(damaged_files.TOTAL)[::-1]}, "id does not ascend"),
         ({"id": np.arange(damaged_files.TOTAL) - 1}, "id does not ascend"),
-        ({"type": "f8"}, "x is float64"),
+        ({"type": "f8"}, "positions is float64"),
         ({"frame": 2}, "it is frame 2, not 1"),
     ):
         written(**other)

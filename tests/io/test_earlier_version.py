@@ -77,4 +77,4 @@ def test_it_goes_on_and_tells_the_new_words_once(folder):
     assert (out / file_layout.LEDGER).read_text().startswith("time,step,phase,particles,mass,")
     after = vgmpi.read(out).frame(2)
     # the water's contact acts less far from the ball than in the version that wrote the frame
-    assert np.abs(after["x"] - before["x"]).max() < 2e-5
+    assert np.abs(after["positions"] - before["positions"]).max() < 2e-5

@@ -41,7 +41,7 @@ def test_pyvista_reads_a_frame(out):
     assert type(mesh) is pyvista.PolyData
     assert mesh.n_points == mesh.n_verts == mesh.n_cells == 9
     assert set(mesh.point_data) == {"id", "velocity", "J", "F", "object", "phase"}
-    assert np.array_equal(mesh.points, want["x"].astype(np.float32))
+    assert np.array_equal(mesh.points, want["positions"].astype(np.float32))
     assert np.array_equal(mesh.point_data["id"], ids)
     for name in mesh.point_data:
         if name != "id":
@@ -67,7 +67,7 @@ def test_vtk_steps_through_the_series(out, monkeypatch, cwd):
         ids = np.sort(ids_of(index))
         assert mesh.n_points == mesh.n_verts == COUNTS[index]
         assert np.array_equal(mesh.point_data["id"], ids)
-        assert np.array_equal(mesh.points, columns(ids)["x"].astype(np.float32))
+        assert np.array_equal(mesh.points, columns(ids)["positions"].astype(np.float32))
         assert np.array_equal(mesh.point_data["F"], columns(ids)["F"].astype(np.float32))
         assert mesh.verts.reshape(-1, 2)[:, 1].tolist() == list(range(COUNTS[index]))
         assert mesh.field_data["time"] == index / 10
@@ -98,12 +98,12 @@ def test_series_is_valid_after_every_frame_and_moves_with_its_folder(tmp_path):
     series = frames.Frames(tmp_path / "a", SerialCommunicator(), TOTAL)
     for index in range(2):
         ids = ids_of(index)
-        series.write(index, float(index), index, ids, {"x": columns(ids)["x"]})
+        series.write(index, float(index), index, ids, {"positions": columns(ids)["positions"]})
         (tmp_path / "a").rename(tmp_path / "b")
         with h5py.File(tmp_path / "b" / "series.vtkhdf") as f:
             assert f["VTKHDF/NumberOfPoints"][()].tolist() == COUNTS[: index + 1]
             last = f["VTKHDF/Points"][-COUNTS[index] :]
-        assert np.array_equal(last, columns(np.sort(ids))["x"].astype(np.float32))
+        assert np.array_equal(last, columns(np.sort(ids))["positions"].astype(np.float32))
         (tmp_path / "b").rename(tmp_path / "a")
 
 
@@ -125,8 +125,8 @@ def test_resume_and_start_anew(out):
 
 def test_fields_that_are_not_asked_for_are_not_there(tmp_path):
     series = frames.Frames(tmp_path, SerialCommunicator(), 3)
-    series.write(0, 0.0, 0, np.arange(3), {"x": np.zeros((3, 3))})
-    assert set(RunReader(tmp_path).frame(0)) == {"id", "x"}
+    series.write(0, 0.0, 0, np.arange(3), {"positions": np.zeros((3, 3))})
+    assert set(RunReader(tmp_path).frame(0)) == {"id", "positions"}
 
 
 @pytest.mark.parametrize(
@@ -143,7 +143,7 @@ def test_fields_that_are_not_asked_for_are_not_there(tmp_path):
 def test_wrong_rows_are_refused(tmp_path, ids, fields, text):
     series = frames.Frames(tmp_path, SerialCommunicator(), TOTAL)
     with pytest.raises(ValueError, match=text):
-        series.write(0, 0.0, 0, np.array(ids), {"x": np.zeros((3, 3)), **fields})
+        series.write(0, 0.0, 0, np.array(ids), {"positions": np.zeros((3, 3)), **fields})
     assert list((tmp_path / "frames").iterdir()) == []
 
 
@@ -162,7 +162,7 @@ def test_run(out):
     run_ = RunReader(out)
     assert np.array_equal(run_.times, [0.0, 0.1, 0.2, 0.3])
     frame = run_.frame(-1)
-    assert list(frame)[:2] == ["id", "x"]
+    assert list(frame)[:2] == ["id", "positions"]
     assert np.array_equal(frame["velocity"], columns(np.sort(ids_of(3)))["velocity"].astype("f4"))
     assert "4 frames" in inspect(out / "series.vtkhdf")
     text = inspect(out / "frames" / "frame_00001.vtkhdf")
@@ -208,4 +208,4 @@ def test_a_file_that_cannot_be_written_is_one_clear_line(tmp_path):
     with pytest.raises(
         hdf5_writer.StoreError, match="^cannot write [^\n]*frame_00000.vtkhdf: [^\n]*$"
     ):
-        series.write(0, 0.0, 0, np.arange(3), {"x": np.zeros((3, 3))})
+        series.write(0, 0.0, 0, np.arange(3), {"positions": np.zeros((3, 3))})

@@ -19,7 +19,7 @@ def columns(ids: np.ndarray) -> dict[str, np.ndarray]:
     """Fields of a frame for these particles."""
     x = np.stack([np.sin(ids), np.cos(ids), ids / TOTAL], 1)
     return {
-        "x": x,
+        "positions": x,
         "velocity": 2 * x,
         "J": 1 + x[:, 0] / 10,
         "F": np.tile(np.eye(3).reshape(9), (len(ids), 1)) + x[:, :1],
@@ -44,7 +44,7 @@ def state(ranks, step: int) -> dict:
     """A checkpoint: rows in an order that does not depend on the ranks."""
     ids = mine(ranks, TOTAL, shuffled=False)
     found = columns(ids)
-    particles = {"id": ids, "x": found["x"] + step, "state": found["F"]}
+    particles = {"id": ids, "x": found["positions"] + step, "state": found["F"]}
     return {
         "attrs": {"step": step, "time": step / 1000, "scene": "x" * 100_000},
         "groups": {"particles": particles},
@@ -54,12 +54,12 @@ def state(ranks, step: int) -> dict:
 def rest_rows(total: int) -> dict[str, np.ndarray]:
     found = columns(np.arange(total))
     return {
-        "x0": found["x"],
+        "x0": found["positions"],
         "vol0": np.full(total, 1e-6),
         "object": np.zeros(total, np.int32),
         "cov0": np.tile([1e-4, 0, 0, 1e-4, 0, 1e-4], (total, 1)),
         "opacity": np.full(total, 0.5),
-        "sh": found["x"][:, None, :],
+        "sh": found["positions"][:, None, :],
     }
 
 

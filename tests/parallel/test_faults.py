@@ -54,7 +54,7 @@ def test_a_blow_up_names_who_and_when(tmp_path):
         assert 0 <= int(particle) - thing["first_row"] < thing["row_count"]
         assert len(known.times) >= 2
         total = sum(o["row_count"] for o in known.objects if o["material"])
-        assert [len(known.frame(k)["x"]) for k in range(len(known.times))] == [total] * len(
+        assert [len(known.frame(k)["positions"]) for k in range(len(known.times))] == [total] * len(
             known.times
         )
         found.append(words.replace(str(out), "OUT"))

@@ -101,18 +101,18 @@ def settle(folder, cells):
     fills, energies = [], []
 
     def look(run):
-        found = run.arrays("x", "vol0", "J", "object")
+        found = run.arrays("positions", "vol0", "J", "object")
         sand = found["object"] == 0
         volume = found["vol0"] * np.where(sand, 1 - POROSITY, found["J"])
         plan = run.simulation.plan
-        fills.append(float(nodal_fullness(found["x"], volume, plan.cells, plan.dx).max()))
+        fills.append(float(nodal_fullness(found["positions"], volume, plan.cells, plan.dx).max()))
         energies.append(sum(r[f"{kind}_energy"] for r in run.ledger for kind in ENERGIES))
 
     scene = vgmpi.load(folder / "heap.toml", text=scene_text(cells))
     run = vgmpi.run(scene, on_frame=look)
     assert run.code == 0
-    found = run.arrays("x", "vol0", "object")
-    sand, (x, vol0) = found["object"] == 0, (found["x"], found["vol0"])
+    found = run.arrays("positions", "vol0", "object")
+    sand, (x, vol0) = found["object"] == 0, (found["positions"], found["vol0"])
     area = LONG * 4 * LONG / cells
     h = level_by_volume(vol0[~sand].sum(), x[sand, 2], (1 - POROSITY) * vol0[sand], area)
     rows = [run.probes[name] for name in ("left", "right")]

@@ -59,7 +59,7 @@ def test_at_rest(tmp_path, initial_pressure, end, precision):
     text += "".join(PROBE.format(name=f"p{k}", z=z * H) for k, z in enumerate(HEIGHTS))
     middle = []
     scene = vgmpi.load(tmp_path / "rest.toml", text=text)
-    run = vgmpi.run(scene, on_frame=lambda now: middle.append(now.array("x")[:, 2].mean()))
+    run = vgmpi.run(scene, on_frame=lambda now: middle.append(now.array("positions")[:, 2].mean()))
     assert run.code == 0 and len(middle) == 41
     start = "begun compressed" if initial_pressure == "hydrostatic" else "begun uncompressed"
     title = f"water at rest for {end:.0f} s, {start}"

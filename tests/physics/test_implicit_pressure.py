@@ -119,7 +119,7 @@ def test_water_at_rest(tmp_path, times_as_deep):
         text += test_hydrostatic.PROBE.format(name=f"p{k}", z=z * depth)
     middle = []
     scene = vgmpi.load(tmp_path / "rest.toml", text=text)
-    run = vgmpi.run(scene, on_frame=lambda now: middle.append(now.array("x")[:, 2].mean()))
+    run = vgmpi.run(scene, on_frame=lambda now: middle.append(now.array("positions")[:, 2].mean()))
     assert run.code == 0
     assert np.ptp(middle) < 1e-3 * depth
     for k, z in enumerate(heights):

@@ -77,7 +77,7 @@ def test_a_run_of_a_file_is_that_of_its_arrays(tmp_path):
     scenes = [load(tmp_path, '"block.npz"'), load(tmp_path, '{ file = "block.npz" }')]
     runs = [vgmpi.run(one, tmp_path / str(k)) for k, one in enumerate(scenes)]
     assert [run.code for run in runs] == [0, 0]
-    assert (runs[0].array("x") == runs[1].array("x")).all()
+    assert (runs[0].array("positions") == runs[1].array("positions")).all()
     momentum = VOLUMES @ V / VOLUMES.sum()
     mean = VOLUMES @ runs[0].array("velocity") / VOLUMES.sum()
     np.testing.assert_allclose(mean, momentum, 0, 1e-9)

@@ -121,9 +121,9 @@ def test_a_file_a_frame(out, tmp_path, capsys):
     assert sorted(p.name for p in where.iterdir()) == ["frame_00000.ply", "frame_00002.ply"]
     moved = RunReader(out).frame(2)
     c = registry.read(where / "frame_00002.ply")
-    np.testing.assert_allclose(c.x[400:], moved["x"], atol=1e-6)  # behind the floor's 400
+    np.testing.assert_allclose(c.x[400:], moved["positions"], atol=1e-6)  # behind the floor's 400
     assert export.main([*argv[:1], "--frames", "-1", "-o", str(where), "--no-scenery", "-q"]) == 0
-    assert len(registry.read(where / "frame_00003.ply")) == len(moved["x"])
+    assert len(registry.read(where / "frame_00003.ply")) == len(moved["positions"])
 
 
 @pytest.mark.parametrize("kind", ["ply", "splat", "spz"])
@@ -132,7 +132,7 @@ def test_up(out, tmp_path, kind, up, axis, sign):
     argv = [str(out), "--frames", "0", "-o", str(tmp_path), f"--up={up}", "--format", kind, "-q"]
     assert export.main(argv) == 0
     c = registry.read(tmp_path / f"frame_00000.{kind}")
-    height = RunReader(out).frame(0)["x"][:, 2]
+    height = RunReader(out).frame(0)["positions"][:, 2]
     np.testing.assert_allclose(sign * c.x[400:, axis], height, atol=1e-4)
 
 

@@ -90,7 +90,7 @@ def test_half_the_time_step_changes_a_frame_by_less_than_a_hundredth(made, mode,
     """Of the range 0..1 of colors, rms over all particles; reached 0.0035 and 0.0027. What the
     transfer itself does is ten times as much."""
     one, two = (RunReader(folder) for folder in made)
-    assert not np.array_equal(one.frame(5)["x"], two.frame(5)["x"])
+    assert not np.array_equal(one.frame(5)["positions"], two.frame(5)["positions"])
     a, b = (rgb(run, 5, look(mode, **more)) for run in (one, two))
     assert rms(a - b) < 0.01
     assert rms(a - rgb(one, 5, look("off"))) > 0.03
@@ -274,7 +274,7 @@ def still(n=400, k=1, families=("fluid", "fluid"), sets=None, **look_of_scene):
     for entry, number in zip(objects, sets or ()):
         entry["color_group"] = number
     scene = {"domain": {"cell": 0.05}, "appearance": look_of_scene}
-    frame = {"id": np.arange(n), "x": rng.uniform(0, 0.2, (n, 3)).astype("f4")}
+    frame = {"id": np.arange(n), "positions": rng.uniform(0, 0.2, (n, 3)).astype("f4")}
     return SimpleNamespace(gaussians=rest, objects=objects, scene=scene), frame
 
 

@@ -61,7 +61,7 @@ def frame_of(run, index):
     """The guitar's own rows of a frame."""
     frame = run.frame(index)
     here = frame["object"] == number(run)
-    return {name: frame[name][here] for name in ("id", "x", "velocity", "F")}
+    return {name: frame[name][here] for name in ("id", "positions", "velocity", "F")}
 
 
 def rigid(x0, x):
@@ -78,7 +78,7 @@ def moved_capture(run, frame):
     transform = np.array(run.objects[number(run)]["transform"])
     scale = np.cbrt(np.linalg.det(transform[:3, :3]))
     cloud = ply.read(GUITAR).transformed(transform[:3, :3] / scale, scale, transform[:3, 3])
-    x0, x = np.asarray(run.gaussians.x0)[frame["id"]], frame["x"].astype(float)
+    x0, x = np.asarray(run.gaussians.x0)[frame["id"]], frame["positions"].astype(float)
     R, t = rigid(x0, x)
     cloud = cloud.transformed(R, 1.0, t)
     there, middle = x0 @ R.T + t, x.mean(0)
@@ -124,7 +124,7 @@ def psnr(a, b, where):
 def test_it_fell_into_the_water(run):
     first, last = frame_of(run, 0), frame_of(run, -1)
     assert len(first["id"]) > 90_000
-    assert 0.0 < last["x"][:, 2].min() < 0.09 < 0.12 < first["x"][:, 2].min()
+    assert 0.0 < last["positions"][:, 2].min() < 0.09 < 0.12 < first["positions"][:, 2].min()
     volume = np.asarray(run.gaussians.vol0)[last["id"]]
     speed = np.average(last["velocity"][:, 2], weights=volume)
     assert -1.9 < speed < 0.5, "it fell freely, or jumped"  # freely: -1 - 9.8 * 0.1
@@ -147,11 +147,13 @@ def test_what_is_wrong_is_seen(run, how):
     right = expected(run, frame)
     rng = np.random.default_rng(1)
     if how == "scrambled":
-        frame["x"] = rng.permutation(frame["x"])
+        frame["positions"] = rng.permutation(frame["positions"])
     elif how == "blurred":
-        frame["x"] = frame["x"] + rng.normal(0, 0.02, frame["x"].shape).astype("f4")
+        frame["positions"] = frame["positions"] + rng.normal(
+            0, 0.02, frame["positions"].shape
+        ).astype("f4")
     elif how == "not moved":
-        frame["x"] = np.asarray(run.gaussians.x0)[frame["id"]]
+        frame["positions"] = np.asarray(run.gaussians.x0)[frame["id"]]
     elif how == "not turned":
         turn = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
         frame["F"] = (turn @ frame["F"].reshape(-1, 3, 3)).reshape(-1, 9)

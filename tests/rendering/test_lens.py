@@ -72,7 +72,7 @@ def test_particles_go_on_while_the_shutter_is_open(tmp_path):
     one = painter(tmp_path, FIXED + "[video]\nshutter = 0.5\n")
     frame = one.look.frame(1)
     step = one.run.times[2] - one.run.times[1]
-    moved = one._moment(frame, 1, 6)["x"] - frame["x"]
+    moved = one._moment(frame, 1, 6)["positions"] - frame["positions"]
     np.testing.assert_allclose(moved, 0.5 * step * 6 / 8 * frame["velocity"], atol=1e-7)
     assert np.abs(moved).max() > 0
     del frame["velocity"]

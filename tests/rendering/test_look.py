@@ -30,7 +30,7 @@ def test_each_family_follows_its_rule():
     run, rows = fake(scenery=False)
     f = frame(rows)
     s = Appearance(run).splats(f, EYE)
-    np.testing.assert_allclose(s.x, f["x"])
+    np.testing.assert_allclose(s.x, f["positions"])
     water, bar = slice(0, drawn_runs.WATER), slice(drawn_runs.WATER, None)
     np.testing.assert_allclose(
         s.cov[water], shape_evolution.volume_sphere_covariance(rows["vol0"][water], f["J"][water])
@@ -91,7 +91,7 @@ def test_colors_of_solids_turn_with_them_and_those_of_others_do_not():
     s = Appearance(run).splats({**f, "F": F.reshape(-1, 9)}, EYE)
     n = len(run.gaussians.scenery.x0)
     water, bar = slice(0, drawn_runs.WATER), slice(drawn_runs.WATER, None)
-    directions = f["x"] - EYE
+    directions = f["positions"] - EYE
     R = drawn_runs.rotation(0.5 * np.pi)
     turned = spherical_harmonics.evaluate(
         spherical_harmonics.rotate(rows["sh"][bar], R), directions[bar]
@@ -121,7 +121,7 @@ def test_frames_that_cannot_be_drawn_are_named():
     run, rows = fake()
     f = frame(rows)
     with pytest.raises(RunError, match="field F"):
-        Appearance(run).splats({name: f[name] for name in ("id", "x", "J")}, EYE)
+        Appearance(run).splats({name: f[name] for name in ("id", "positions", "J")}, EYE)
     with pytest.raises(RunError, match="does not know"):
         Appearance(run).splats({**f, "id": f["id"] + 1}, EYE)
     run.frame = lambda index: {**f, "id": f["id"] - 1}

@@ -37,13 +37,13 @@ def test_fixed_shapes_and_harmonics_need_no_deformation():
     f = frame(rows)
     del f["F"]
     chosen = LookSettings(covariance="fixed", rotate_sh=False)
-    assert len(Appearance(run, chosen).splats(f, EYE).x) == len(f["x"])
+    assert len(Appearance(run, chosen).splats(f, EYE).x) == len(f["positions"])
 
 
 @pytest.mark.parametrize("covariance", ["evolve", "fixed"])
 def test_fixed_harmonics_do_not_turn(covariance):
     s, f, rows = drawn(k=16, rotate_sh=False, covariance=covariance)
-    want = spherical_harmonics.evaluate(rows["sh"], f["x"] - EYE)
+    want = spherical_harmonics.evaluate(rows["sh"], f["positions"] - EYE)
     np.testing.assert_allclose(s.color, want, atol=1e-5)
     turned, _, _ = drawn(k=16, covariance=covariance)
     assert np.abs(turned.color[BAR] - want[BAR]).max() > 0.05
@@ -82,13 +82,13 @@ def test_fluids_that_carry_a_deformation_gradient_follow_it():
         want = F @ unpack_symmetric(rows["cov0"][WATER]) @ F.transpose(0, 2, 1)
         np.testing.assert_allclose(unpack_symmetric(s.cov[WATER]), want, rtol=0, atol=1e-9)
         turned = spherical_harmonics.rotate(rows["sh"][WATER], shape_evolution.rotation(F))
-        want = spherical_harmonics.evaluate(turned, f["x"][WATER] - EYE)
+        want = spherical_harmonics.evaluate(turned, f["positions"][WATER] - EYE)
         np.testing.assert_allclose(s.color[WATER], want, atol=1e-5)
     s, f, rows = drawn(deforms=True, k=4, covariance_normalization="volume")
     np.testing.assert_allclose(
         s.cov[WATER], shape_evolution.volume_sphere_covariance(rows["vol0"], f["J"])[WATER]
     )
-    want = spherical_harmonics.evaluate(rows["sh"][WATER], f["x"][WATER] - EYE)
+    want = spherical_harmonics.evaluate(rows["sh"][WATER], f["positions"][WATER] - EYE)
     np.testing.assert_allclose(s.color[WATER], want, atol=1e-5)
 
 

@@ -117,7 +117,7 @@ def test_colors_that_relax_need_every_frame(out, tmp_path, capfd):
     assert not cache.is_symlink() and victim.read_text() == "precious"
 
 
-@pytest.mark.parametrize("field", ["x", "F", "J"])
+@pytest.mark.parametrize("field", ["positions", "F", "J"])
 def test_numbers_that_are_none_are_not_drawn(out, field):
     rows, _, _ = drawn_runs.rest_state()
     fields = drawn_runs.frame_fields(rows, 1, 5)
@@ -125,5 +125,5 @@ def test_numbers_that_are_none_are_not_drawn(out, field):
     Frames(out, SerialCommunicator(), len(rows["x0"]), first=1).write(
         1, 0.04, 1, np.arange(len(rows["x0"])), fields
     )
-    with pytest.raises(RunError, match=f"frame 1 holds a {field} that is no number"):
+    with pytest.raises(RunError, match=f"frame 1 holds {field} that are not finite"):
         Appearance(RunReader(out)).frame(1)

@@ -187,10 +187,10 @@ def test_points_are_those_of_the_frames(run):
     files = RunReader(run)
     for index in range(len(files)):
         frame, mesh = files.frame(index), pyvista.read(run / f"points/frame_{index:05d}.vtp")
-        assert mesh.n_points == mesh.n_verts == len(frame["x"])
+        assert mesh.n_points == mesh.n_verts == len(frame["positions"])
         assert np.array_equal(mesh.verts.reshape(-1, 2)[:, 1], np.arange(mesh.n_points))
-        assert np.array_equal(mesh.points, frame["x"])
-        assert set(mesh.point_data) == set(frame) - {"x", "poses"}
+        assert np.array_equal(mesh.points, frame["positions"])
+        assert set(mesh.point_data) == set(frame) - {"positions", "poses"}
         for name in mesh.point_data:
             assert mesh.point_data[name].dtype == frame[name].dtype
             assert np.array_equal(mesh.point_data[name], frame[name])

@@ -57,7 +57,7 @@ def look_of(prepared, chosen=None):
 def moved(prepared, F, shift):
     """The frame after an affine motion x -> F x + shift."""
     n = len(prepared.x)
-    frame = {"id": np.arange(n), "x": prepared.x @ F.T + shift, "J": np.ones(n)}
+    frame = {"id": np.arange(n), "positions": prepared.x @ F.T + shift, "J": np.ones(n)}
     return frame | {"F": np.tile(F.ravel(), (n, 1))}
 
 
@@ -120,13 +120,13 @@ def test_an_uneven_motion_lies_between_its_carriers(riding):
     frame = moved(riding, AFFINE, np.zeros(3))
     random = np.random.default_rng(3)
     frame["F"] = frame["F"] + 0.1 * random.normal(size=frame["F"].shape)
-    frame["x"] = frame["x"] + 0.01 * random.normal(size=frame["x"].shape)
+    frame["positions"] = frame["positions"] + 0.01 * random.normal(size=frame["positions"].shape)
     splats, riders = look_of(riding).splats(frame, EYE), riding.passive
     k, own = 321, len(riding.x)
     x, F = np.zeros(3), np.zeros((3, 3))
     for i, w in zip(riders.carriers[k], riders.weights[k].astype(float)):
         Fi = frame["F"][i].reshape(3, 3)
-        x += w * (frame["x"][i] + Fi @ (riders.x[k] - riding.x[i]))
+        x += w * (frame["positions"][i] + Fi @ (riders.x[k] - riding.x[i]))
         F += w * Fi
     assert np.allclose(splats.x[own + k], x, atol=1e-12)
     (start,) = unpack_symmetric(riders.cov0[k : k + 1].astype(float))
@@ -212,7 +212,7 @@ def test_a_run_with_riders(folder, tmp_path):
     splats = Appearance(run).splats(last, EYE)
     own = len(last["id"])
     assert len(splats.x) == own + len(riders.x0)
-    way = (last["x"] - run.gaussians.x0)[0]
+    way = (last["positions"] - run.gaussians.x0)[0]
     assert way[0] == pytest.approx(0.01, abs=1e-6) and way[2] < -4e-4
     assert np.abs(splats.x[own:] - riders.x0 - way).max() < 1e-6
     assert "passive/weights" in inspect(tmp_path / file_layout.GAUSSIANS)

@@ -208,7 +208,7 @@ def test_a_preview_loads_nothing_that_it_does_not_need(out, tmp_path, preset):
     assert not [name for name in SLOW if name in loaded and name not in needed]
 
 
-@pytest.mark.parametrize("color", ["J", "velocity", "velocity.z", "F.0", "object", "x.x"])
+@pytest.mark.parametrize("color", ["J", "velocity", "velocity.z", "F.0", "object", "positions.x"])
 def test_a_view_of_any_field(out, tmp_path, color, capsys):
     path = tmp_path / "new" / "a.png"
     argv = [str(out), "--frame", "1", "--color", color, "-o", str(path), "--size", "320", "240"]
@@ -232,7 +232,7 @@ def test_views_show_the_numbers_of_their_field():
 @pytest.mark.parametrize(
     "argv, says",
     [
-        (["--color", "pressure"], "--color: pressure: this frame has id, x, "),
+        (["--color", "pressure"], "--color: pressure: this frame has id, positions, "),
         (["--color", "J.x"], "no components"),
         (["--color", "velocity.w"], "velocity.x .. velocity.z"),
         (["--frame", "4"], "frames 0..3"),
@@ -276,7 +276,7 @@ def test_a_real_capture_is_recognisable_on_a_turning_body(tmp_path):
     )
     middle = np.full(3, 0.5)
     x = (c.x - middle) @ R.T + middle + shift
-    fields = {"x": x.astype("f4"), "F": np.tile(R.reshape(9), (n, 1)).astype("f4")}
+    fields = {"positions": x.astype("f4"), "F": np.tile(R.reshape(9), (n, 1)).astype("f4")}
     Frames(tmp_path, SerialCommunicator(), n).write(0, 0.0, 0, np.arange(n), fields)
     file = tmp_path / "render.toml"
     file.write_text(drawn_runs.on_paper(""))

@@ -40,7 +40,9 @@ def test_the_same_gaussians_are_shown_at_every_frame(out):
     for index in (0, 3):
         still, moving = chosen.splats_at(index, np.array([3.0, 0, 1]))
         assert len(still["centers"]) == chosen.still.sum()
-        x = drawn_runs.frame_fields(drawn_runs.rest_state()[0], index, 4)["x"][chosen.moving]
+        x = drawn_runs.frame_fields(drawn_runs.rest_state()[0], index, 4)["positions"][
+            chosen.moving
+        ]
         np.testing.assert_allclose(chosen.cell * moving["centers"], x, atol=1e-6)
         assert len(moving["centers"]) == len(rest)
         assert moving["opacities"].shape == (len(rest), 1)

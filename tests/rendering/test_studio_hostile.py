@@ -169,7 +169,7 @@ def test_values_at_the_bounds_draw(run, name):
 
 def all_at(place):
     def change(frame):
-        frame["x"][:] = place
+        frame["positions"][:] = place
         return frame
 
     return change
@@ -198,8 +198,8 @@ def without(*names):
 
 
 def far_away(frame):
-    frame["x"][::7] += np.float32(1e6)
-    frame["x"][3::7] -= np.float32(1e6)
+    frame["positions"][::7] += np.float32(1e6)
+    frame["positions"][3::7] -= np.float32(1e6)
     return frame
 
 
@@ -233,9 +233,9 @@ def test_frames_that_are_odd_are_drawn(run, name):
     small(run, QUICK, index=1, change=CHANGES[name])
 
 
-@pytest.mark.parametrize("name", ["x", "F", "J"])
+@pytest.mark.parametrize("name", ["positions", "F", "J"])
 def test_frames_of_no_numbers_are_told(run, name):
-    with pytest.raises(RunError, match=f"frame 1 holds a {name} that is no number"):
+    with pytest.raises(RunError, match=f"frame 1 holds {name} that are not finite"):
         small(run, QUICK, index=1, change=with_field(name, np.nan))
 
 

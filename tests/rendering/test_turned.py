@@ -59,7 +59,7 @@ def picture(body, x, F, eye, target, up, near=0.2):
     camera = look_at(eye, target, up, 40, 160, 120, near)
     frame = {
         "id": np.arange(len(body)),
-        "x": x.astype("f4"),
+        "positions": x.astype("f4"),
         "F": np.tile(F.ravel(), (len(body), 1)).astype("f4"),
     }
     return rasterize.render(Appearance(run_of(body)).splats(frame, camera.eye), camera)[0]

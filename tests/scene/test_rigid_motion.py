@@ -235,7 +235,7 @@ def test_the_renderer_sees_scenery_where_it_is():
 def test_frames_hold_poses_and_damage_is_named(tmp_path):
     x = np.zeros((3, 3), np.float32)
     Frames(tmp_path, SerialCommunicator(), 3).write(
-        0, 0.0, 0, np.arange(3), {"x": x}, np.array([turned()])
+        0, 0.0, 0, np.arange(3), {"positions": x}, np.array([turned()])
     )
     assert np.array_equal(RunReader(tmp_path).frame(0)["poses"], [turned()])
     path = tmp_path / "frames" / "frame_00000.vtkhdf"

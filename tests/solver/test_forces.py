@@ -306,7 +306,7 @@ def test_nobody_asks_nothing_is_there(tmp_path):
     assert simulation.reactions is None and simulation.engine.reactions is None
     assert all(part.ghosts is None for part in simulation.engine.parts)
     assert all(room.given is None for room in simulation.engine.room)
-    one, other = (run.arrays("x", "velocity", "C") for run in runs)
+    one, other = (run.arrays("positions", "velocity", "C") for run in runs)
     assert all((one[name] == other[name]).all() for name in one)
 
 

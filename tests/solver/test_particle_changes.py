@@ -115,14 +115,14 @@ def test_a_thrown_body_flies_along_its_parabola():
                 break
         sim.set("velocity", ball, v0)
         assert (sim.array("velocity")[ball] == v0).all()
-        start, begin, way, before = sim.array("x")[ball], sim.time, np.zeros(3), sim.time
+        start, begin, way, before = sim.array("positions")[ball], sim.time, np.zeros(3), sim.time
         for _ in sim:
             t, dt = sim.time - begin, sim.time - before
             way += dt * (v0 + g * t)
             before = sim.time
-            state = sim.arrays("x", "velocity")
+            state = sim.arrays("positions", "velocity")
             np.testing.assert_allclose(state["velocity"][ball], v0 + g * t + 0 * start, 1e-10)
-            np.testing.assert_allclose(state["x"][ball], start + way, 0, 1e-13)
+            np.testing.assert_allclose(state["positions"][ball], start + way, 0, 1e-13)
             exact = v0 * t + g * t**2 / 2
             assert np.abs(way - exact).max() <= 9.8 * t * 1.05 * dt / 2
         assert sim.code == 0 and t > 0.04 and np.abs(way).min() > 5e-3
@@ -167,13 +167,13 @@ def steered(ranks):
         sim.set("velocity", high, [0.1, 0.05, -3.0])
         sim.set("C", low, [0, -20.0, 0, 20.0, 0, 0, 0, 0, 0])
         for step in sim:
-            state = sim.arrays("x", "velocity")
-            pull = 0.3 * (0.16 - state["x"][low]) - 0.001 * state["velocity"][low]
+            state = sim.arrays("positions", "velocity")
+            pull = 0.3 * (0.16 - state["positions"][low]) - 0.001 * state["velocity"][low]
             sim.add_force(low, pull)
             if step == 20:
                 sim.set("velocity", np.concatenate([high[::3], low[:5]]), [0.5, 0.5, 0.5])
     assert sim.code == 0
-    return sim.arrays("x", "velocity", "C", "F"), sim.time, sim.step
+    return sim.arrays("positions", "velocity", "C", "F"), sim.time, sim.step
 
 
 def test_the_bits_do_not_depend_on_the_ranks():
@@ -197,7 +197,7 @@ WRONG = [
     ("velocity", [3, 4], [[0, 0, 1], [0, np.nan, 0]], r"must be finite; that of particle 4 is \[0"),
     ("velocity", [3, 4], [np.inf, 0, 0], "must be finite; that of particle 3 is"),
     ("C", [3, 4], [0, 0, 1], r"values must have the shape \(2, 9\) or \(9,\)"),
-    ("x", [3, 4], [0, 0, 1], "set x: only velocity and C can be set"),
+    ("positions", [3, 4], [0, 0, 1], "set positions: only velocity and C can be set"),
 ]  # fmt: skip
 
 

@@ -67,7 +67,7 @@ def test_fractions_are_those_that_were_put_in(tmp_path, precision, engine):
     """Away from the interface by what two stencils reach, also at the walls and in the corners."""
     simulation, _ = begin(tmp_path, BED.replace("PRECISION", precision), engine=engine)
     _, rows = frame_rows(simulation, ("volume_fraction",))
-    z, fraction = rows["x"][:, 2], rows["volume_fraction"]
+    z, fraction = rows["positions"][:, 2], rows["volume_fraction"]
     assert fraction.dtype == np.float32
     for k, want in enumerate((0.65, 0.35, 0.7, 0.3)):
         inner = (rows["object"] == k) & (np.abs(z - 0.06) > 0.0301)
@@ -99,14 +99,14 @@ def test_what_is_not_asked_for_is_not_there_and_changes_nothing(tmp_path, text):
     advance(simulation, 0.01)
     ids, plain = frame_rows(simulation, ("velocity", "J", "F"))
     same, rows = frame_rows(simulation, ALL[:-1])
-    assert set(plain) == {"x", "velocity", "J", "F", "object", "phase"}
+    assert set(plain) == {"positions", "velocity", "J", "F", "object", "phase"}
     assert set(rows) == set(plain) | {"stress", "pressure", "strain"}
     assert np.array_equal(ids, same)
     for name, values in plain.items():
         assert np.array_equal(values, rows[name])
     for name in ("stress", "pressure", "strain"):
         assert rows[name].dtype == np.float32 and np.isfinite(rows[name]).all()
-        (only,) = set(frame_rows(simulation, (name,))[1]) - {"x", "object", "phase"}
+        (only,) = set(frame_rows(simulation, (name,))[1]) - {"positions", "object", "phase"}
         assert only == name
     volume = rows["strain"][:, :3].sum(1)
     assert volume == pytest.approx(np.log(rows["J"]), abs=3e-6)

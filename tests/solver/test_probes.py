@@ -173,7 +173,7 @@ def test_a_flying_ball(tmp_path):
     scene = vgmpi.load(tmp_path / "scene.toml", text=FLYING)
     with vgmpi.simulate(scene) as run:
         for _ in run:
-            seen.append((run.time, run.array("x")))
+            seen.append((run.time, run.array("positions")))
     rows = run.probes["ball"]
     assert [row["time"] for row in rows[1:]] == [time for time, _ in seen]  # every step
     for row, (_, x) in zip(rows[1:], seen):

@@ -84,7 +84,7 @@ def write_run(made, out):
     rows = read_gaussians(out / file_layout.GAUSSIANS)
     n = len(rows.x0)
     fields = {
-        "x": np.asarray(rows.x0, "f4"),
+        "positions": np.asarray(rows.x0, "f4"),
         "velocity": np.zeros((n, 3), "f4"),
         "J": np.ones(n, "f4"),
         "F": np.tile(np.eye(3, dtype="f4").ravel(), (n, 1)),

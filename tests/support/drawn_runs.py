@@ -80,7 +80,7 @@ def frame_fields(rows, k, frames):
     J[:WATER] = 1 + 0.1 * part
     velocity = np.zeros_like(x)
     velocity[:, 2] = x[:, 0]
-    fields = {"x": x, "velocity": velocity, "J": J, "F": F.reshape(-1, 9)}
+    fields = {"positions": x, "velocity": velocity, "J": J, "F": F.reshape(-1, 9)}
     return {name: a.astype("f4") for name, a in fields.items()} | {"object": rows["object"]}
 
 

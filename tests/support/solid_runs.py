@@ -56,7 +56,7 @@ def write(folder, objects, deformation=None):
     F = np.eye(3) if deformation is None else np.asarray(deformation, dtype=float)
     n = len(rest.x0)
     fields = {
-        "x": (rest.x0 - MIDDLE) @ F.T + MIDDLE,
+        "positions": (rest.x0 - MIDDLE) @ F.T + MIDDLE,
         "velocity": np.zeros((n, 3)),
         "J": np.full(n, np.linalg.det(F)),
         "F": np.tile(F.ravel(), (n, 1)),

@@ -63,10 +63,10 @@ def named(datasets: list[Dataset]) -> dict[str, Dataset]:
 
 
 # ---- frames/frame_00000.vtkhdf ----------------------------------------------------------------
-# In the file, x is /VTKHDF/Points and the others are in /VTKHDF/PointData.
+# In the file, positions is /VTKHDF/Points and the others are in /VTKHDF/PointData.
 FRAME = [
     Dataset("id", "(n,)", "i8", "1", "particle number, ascending; its row in gaussians.h5"),
-    Dataset("x", "(n, 3)", "f4", "m", "position in the domain; stored as /VTKHDF/Points"),
+    Dataset("positions", "(n, 3)", "f4", "m", "position in the domain; stored as /VTKHDF/Points"),
     Dataset("velocity", "(n, 3)", "f4", "m/s", "velocity"),
     Dataset("J", "(n,)", "f4", "1", "volume ratio; its elastic part in plastic materials"),
     Dataset("F", "(n, 9)", "f4", "1", "deformation gradient, row by row; cbrt(J) I without one"),

@@ -99,13 +99,15 @@ class Frames:
             time: Simulated time [s].
             step: Number of the step.
             ids: Particle ids of this rank, shape (n_local,).
-            fields: Rows in the order of `ids`: "x", and others of layout.FRAME.
+            fields: Rows in the order of `ids`: "positions", and others of layout.FRAME.
             poses: Poses of moving objects without mass, shape (m, 4, 4), equal on all ranks.
         """
         path = self.folder / file_layout.FRAMES / file_layout.FRAME_NAME.format(index)
         names = [d.name for d in file_layout.FRAME if d.name in fields]
-        if "x" not in fields or set(fields) - set(names):
-            raise ValueError(f"a frame has x and fields of layout.FRAME, not {sorted(fields)}")
+        if "positions" not in fields or set(fields) - set(names):
+            raise ValueError(
+                f"a frame has positions and fields of layout.FRAME, not {sorted(fields)}"
+            )
         redistribute = _Redistribution(ids, self.total_ids, self.ranks)
         with hdf5_writer.create(path, self.ranks, self.compresses) as f:
             f.attr("", "schema", file_layout.SCHEMA)
@@ -120,8 +122,8 @@ class Frames:
                     raise ValueError(
                         f"frame field {name}: rows are {field.shape}, not {rows.shape}"
                     )
-                f.rows("VTKHDF/Points" if name == "x" else f"VTKHDF/PointData/{name}", rows)
-                if name != "x":
+                f.rows("VTKHDF/Points" if name == "positions" else f"VTKHDF/PointData/{name}", rows)
+                if name != "positions":
                     arrays[name] = (rows.shape[1:], field.dtype)
             count = self._topology(f, len(redistribute.ids))
             f.whole("VTKHDF/FieldData/time", np.array([time], np.float64))

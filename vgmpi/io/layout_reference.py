@@ -96,8 +96,11 @@ def page() -> str:
         "always present, the other fields as `output.fields` requests. Covariance, opacity and "
         "color are stored in gaussians.h5 only: a renderer finds them by `id` and deforms them "
         "with F or J.\n",
-        _table([d for d in file_layout.FRAME if d.name != "x"], "VTKHDF/PointData/"),
-        _table([d._replace(name="Points") for d in file_layout.FRAME if d.name == "x"], "VTKHDF/"),
+        _table([d for d in file_layout.FRAME if d.name != "positions"], "VTKHDF/PointData/"),
+        _table(
+            [d._replace(name="Points") for d in file_layout.FRAME if d.name == "positions"],
+            "VTKHDF/",
+        ),
         _table(file_layout.FRAME_FIELD_DATA, "VTKHDF/FieldData/"),
         _table(file_layout.FRAME_TOPOLOGY, "VTKHDF/"),
         _table(file_layout.FRAME_OWN),

@@ -2,7 +2,7 @@
 
 run = RunReader("out")
 run.times            (frames,) [s]
-run.frame(3)["x"]    (n, 3) [m]
+run.frame(3)["positions"]    (n, 3) [m]
 run.gaussians.cov0   (n, 6) [m2], a row per particle id
 """
 
@@ -192,7 +192,7 @@ class RunReader:
             for new, old in renamed_keys.DATASETS.items():
                 if old in arrays:
                     arrays[new] = arrays.pop(old)
-            arrays = {"id": arrays.pop("id"), "x": arrays.pop("VTKHDF/Points"), **arrays}
+            arrays = {"id": arrays.pop("id"), "positions": arrays.pop("VTKHDF/Points"), **arrays}
             integrity.check_arrays(arrays, count)
             if "poses" in f:
                 arrays["poses"] = integrity.checked_poses(f["poses"][()])

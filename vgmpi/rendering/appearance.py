@@ -94,9 +94,9 @@ class Appearance:
         rows = np.asarray(frame["id"])
         if len(rows) and not 0 <= rows.min() <= rows.max() < len(self.object):
             raise RunError(f"{name} holds particles that gaussians.h5 does not know")
-        for field in ("x", "F", "J"):
+        for field in ("positions", "F", "J"):
             if field in frame and not np.isfinite(frame[field]).all():
-                raise RunError(f"{name} holds a {field} that is no number")
+                raise RunError(f"{name} holds {field} that are not finite")
         if self.scenery is not None and len(frame.get("poses", ())) != len(moving(self.objects)):
             raise RunError(f"{name} does not say where each object is that moves")
 
@@ -112,7 +112,7 @@ class Appearance:
     def parts(self, frame: dict[str, np.ndarray]) -> list[GaussianBatch]:
         """Return the Gaussians of a frame for any view. Raises RunError."""
         rows = np.asarray(frame["id"])
-        x = np.asarray(frame["x"], dtype=np.float64)
+        x = np.asarray(frame["positions"], dtype=np.float64)
         cov = self._covariances(rows, frame)
         color, color_rows = self.color, rows
         if "sh" in frame:

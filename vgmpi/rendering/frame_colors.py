@@ -118,7 +118,7 @@ class FrameColors:
             members = members[np.argsort(ids[members], kind="stable")]
             if not len(members):
                 continue
-            transfer = Transfer(np.asarray(frame["x"])[members], volume[members], self.dx)
+            transfer = Transfer(np.asarray(frame["positions"])[members], volume[members], self.dx)
             rows, columns = self._row[ids[members]], self.columns[number]
             old = state[rows, :columns]
             new = transfer.smoothed(old) if age is None else transfer.relax(old, age)

@@ -190,7 +190,7 @@ class Passive:
         carrier_rows = row[self.carriers]
         present = np.flatnonzero((carrier_rows >= 0).all(axis=1))
         x, F = compiled_evolution.skin_to_carriers(
-            present, carrier_rows, self.offset, self.weights, frame["x"], frame["F"]
+            present, carrier_rows, self.offset, self.weights, frame["positions"], frame["F"]
         )
         color, rows = self._colors(frame, present, carrier_rows)
         turning = np.flatnonzero(self.turns[present] & color.view_dependent[rows])

@@ -177,7 +177,11 @@ class FrameRenderer:
         interval = min(index, len(times) - 2) if len(times) > 1 else 0
         step = float(times[interval + 1] - times[interval]) if len(times) > 1 else 0.0
         delay = shutter * step * sample / self.samples
-        return {**frame, "x": frame["x"] + delay * np.asarray(frame["velocity"], dtype=np.float64)}
+        return {
+            **frame,
+            "positions": frame["positions"]
+            + delay * np.asarray(frame["velocity"], dtype=np.float64),
+        }
 
     def _pixels(self, frame: dict, parts: Any, cameras: list[Camera], sample: int) -> list[Pixels]:
         """Return image, transmittance and depth of a frame from every camera."""

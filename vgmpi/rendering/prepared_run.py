@@ -49,7 +49,7 @@ class PreparedRun(RunReader):
         v = np.zeros((count, 3)) if gaussians.v0 is None else np.asarray(gaussians.v0)
         arrays = {
             "id": np.arange(count),
-            "x": np.asarray(gaussians.x0),
+            "positions": np.asarray(gaussians.x0),
             "velocity": v.astype(np.float32),
             "F": np.tile(np.eye(3, dtype=np.float32).ravel(), (count, 1)),
             "J": np.ones(count, np.float32),

@@ -109,7 +109,7 @@ class RunMotion:
         """Append a group of particles for each object."""
         look = self.look
         x = np.array(look.run.gaussians.x0, dtype=np.float64)
-        x[frame["id"]] = frame["x"]
+        x[frame["id"]] = frame["positions"]
         for number in np.unique(look.object):
             ids = np.flatnonzero(look.object == number)
             name = str(look.objects[number].get("name", number)) if look.objects else "particles"

@@ -335,7 +335,7 @@ class Bodies:
             body_normals.turn_normals(rest_normals[deformed], F, rotated)
             out[deformed] = rotated
         remaining = np.setdiff1d(np.arange(len(ids)), deformed)
-        x = np.asarray(frame["x"], dtype=np.float64)[rows]
+        x = np.asarray(frame["positions"], dtype=np.float64)[rows]
         for k in np.unique(self.look.object[ids[remaining]]) if len(remaining) else ():
             members = remaining[self.look.object[ids[remaining]] == k]
             s = float(np.cbrt(np.median(self.look.vol0[ids[members]])))

@@ -124,7 +124,7 @@ class Studio:
 
     def _moment(self, frame: dict[str, np.ndarray], index: int) -> Moment:
         look, bodies = self.look, self.bodies
-        ids, x = np.asarray(frame["id"]), np.asarray(frame["x"], dtype=np.float64)
+        ids, x = np.asarray(frame["id"]), np.asarray(frame["positions"], dtype=np.float64)
         parts, main = look.parts(frame), int(look.scenery is not None)
         solid = np.flatnonzero(~(bodies.fluid[ids] | bodies.granular[ids]))
         opaque, normals, kinds, shades = bodies.opaque(parts, main, frame, solid)
@@ -257,7 +257,7 @@ class Studio:
         """Return the liquid's particles at a frame, and how much foam they produce."""
         frame = self.look.run.frame(k)
         ids = np.asarray(frame["id"])
-        x = np.asarray(frame["x"], dtype=np.float64)
+        x = np.asarray(frame["positions"], dtype=np.float64)
         rows = np.flatnonzero(self.bodies.fluid[ids] & self._is_within_grids(x))
         if "velocity" not in frame or not len(rows):
             return ids[:0], np.zeros(0)

@@ -30,7 +30,7 @@ class RunFrames:
         """Return the positions [m] (n, 3) of a body's particles."""
         fields = self.run.frame(len(self.run) + frame if frame < 0 else frame)
         is_member = self.object[fields["id"]] == self.names.index(name)
-        return np.asarray(fields["x"], dtype=np.float64)[is_member]
+        return np.asarray(fields["positions"], dtype=np.float64)[is_member]
 
 
 def concentration_variance(run_frames: RunFrames) -> tuple[float, float]:

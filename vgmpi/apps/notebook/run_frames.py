@@ -55,7 +55,7 @@ class Frame:
     def positions(self) -> np.ndarray:
         """Positions of the particles, shape (n, 3) [m]; alone, they are read fastest."""
         if "arrays" in self.__dict__:
-            return self.arrays["x"]
+            return self.arrays["positions"]
         return self._reader.positions(self.number)
 
     @property
@@ -72,9 +72,9 @@ class Frame:
         """Return a `pyvista.PolyData` of the particles with all arrays that have a row for each."""
         import pyvista
 
-        cloud = pyvista.PolyData(np.asarray(self["x"], np.float64))
+        cloud = pyvista.PolyData(np.asarray(self["positions"], np.float64))
         for name, array in self.arrays.items():
-            if name != "x" and name not in ARRAYS_OF_OBJECTS:
+            if name != "positions" and name not in ARRAYS_OF_OBJECTS:
                 cloud.point_data[name] = array.reshape(len(array), -1).squeeze()
         return cloud
 

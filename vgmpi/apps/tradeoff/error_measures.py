@@ -50,7 +50,7 @@ class RunOutcome:
         fields = self.run.frame(frame)
         edge = self.size.max() / along
         shape = np.ceil(self.size / edge).astype(int) + 2
-        positions = np.asarray(fields["x"], float) / edge + 0.5
+        positions = np.asarray(fields["positions"], float) / edge + 0.5
         low = np.floor(positions).astype(int)
         fraction = positions - low
         owner, mass = self._of[fields["id"]], self._mass[fields["id"]]

@@ -40,7 +40,7 @@ def frame_rows(simulation: Simulation, names: tuple[str, ...]) -> tuple[np.ndarr
             law_function(group.plan.law, "volume_ratio")(group.plan.law, state), np.float32
         )
         row = {
-            "x": group.positions().astype(np.float32),
+            "positions": group.positions().astype(np.float32),
             "object": simulation.object_of(group.ids[indices]).astype(np.int32),
             "phase": np.full(len(indices), group.plan.phase, np.int32),
         }

@@ -8,7 +8,7 @@ from vgmpi.runtime.suggestions import did_you_mean
 
 # names of the arrays of a run, as in its files, and those that the solver has for them
 ARRAYS = {
-    "id": "id", "x": "x", "velocity": "v", "J": "J", "F": "F", "stress": "stress",
+    "id": "id", "positions": "x", "velocity": "v", "J": "J", "F": "F", "stress": "stress",
     "pressure": "pressure", "strain": "strain", "object": "object", "phase": "phase",
     "vol0": "vol0", "C": "C",
 }  # fmt: skip
@@ -88,9 +88,9 @@ class Run:
         nothing of the run. Collective: all ranks must ask for the same names.
 
         Args:
-            names: Names as in the files of a run: id (n,), x (n, 3) [m], velocity (n, 3) [m/s],
-                J (n,), F (n, 9), stress (n, 6) [Pa], pressure (n,) [Pa], strain (n, 6),
-                object (n,), phase (n,), vol0 (n,) [m3] and C (n, 9) [1/s].
+            names: Names as in the files of a run: id (n,), positions (n, 3) [m], velocity
+                (n, 3) [m/s], J (n,), F (n, 9), stress (n, 6) [Pa], pressure (n,) [Pa],
+                strain (n, 6), object (n,), phase (n,), vol0 (n,) [m3] and C (n, 9) [1/s].
 
         Returns:
             The arrays by name.
@@ -100,7 +100,7 @@ class Run:
 
         Example:
             ```python
-            state = run.arrays("x", "velocity")
+            state = run.arrays("positions", "velocity")
             print(state["velocity"].mean(axis=0))  # [m/s]
             ```
         """
@@ -120,7 +120,7 @@ class Run:
 
         Example:
             ```python
-            height = run.array("x")[:, 2].max()  # [m]
+            height = run.array("positions")[:, 2].max()  # [m]
             ```
         """
         return self.arrays(name)[name]
