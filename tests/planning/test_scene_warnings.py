@@ -1,5 +1,7 @@
 """What `vgmpi check` and the first lines of a run warn of, and of what they say nothing."""
 
+import re
+
 import pytest
 
 from vgmpi.apps.run import cli
@@ -29,9 +31,9 @@ USUAL = {
 }  # fmt: skip
 
 
-def told(tmp_path, capsys, flag="--check", **keys):
+def told(tmp_path, capsys, flag="--check", scene=SCENE, **keys):
     """What the command prints, on both streams."""
-    text = SCENE
+    text = scene
     for key, value in (USUAL | keys).items():
         text = text.replace(key, value)
     path = tmp_path / "scene.toml"
@@ -84,6 +86,46 @@ def test_objects_that_are_lost_in_the_domain(tmp_path, capsys):
     assert out.endswith(": 0 errors, 1 warning\n")
     out, err = told(tmp_path, capsys, SIZE="2, 2, 2", LIQUID='max_speed = "7 m/s"')
     assert "0 warnings" in out and not err
+
+
+PILLAR = """
+[domain]
+size = [0.3, 0.3, 0.5]
+cell = 0.02
+[time]
+end = 0.01
+frames = 2
+[material.soft]
+kind = "elastic"
+density = 1000
+youngs_modulus = MODULUS
+[[object]]
+name = "pillar"
+material = "soft"
+shape = { cylinder = { endpoints = [[0.15, 0.15, 0.02], [0.15, 0.15, 0.42]], radius = 0.04 } }
+"""
+
+
+# 4 rho g h^3 / (7.837 r^2): h = 0.39 m between the outermost particles, rho g = 9800 N/m3
+@pytest.mark.parametrize("modulus, warned", [(170e3, 1), (200e3, 0)])
+def test_a_body_too_soft_to_stand_is_named(tmp_path, capsys, modulus, warned):
+    """Greenhill's column: 185 kPa for 0.39 m with a radius of 4 cm."""
+    out, err = told(tmp_path, capsys, scene=PILLAR, MODULUS=f"{modulus}")
+    assert out.endswith(f": 0 errors, {warned} warning{'' if warned else 's'}\n")
+    found = re.findall(r"toml:14\): 'pillar' will fold .* = \"(\d+) kPa\"", err)
+    assert [float(value) for value in found] == pytest.approx([185.0] * warned, rel=0.06)
+
+
+@pytest.mark.parametrize(
+    "key, warned",
+    [
+        ("pinned = { box = [[0, 0, 0.4], [0.3, 0.3, 0.5]] }", 0),
+        ("pinned = { box = [[0, 0, 0], [0.3, 0.3, 0.05]] }", 1),
+    ],
+)
+def test_what_is_held_from_above_cannot_fold(tmp_path, capsys, key, warned):
+    _, err = told(tmp_path, capsys, scene=PILLAR + key, MODULUS="50e3")
+    assert err.count("will fold") == warned
 
 
 def test_overlaps_are_counted(tmp_path, capsys):

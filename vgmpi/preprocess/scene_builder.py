@@ -42,7 +42,7 @@ from .object_builder import build_object
 from .passive_gaussians import bind_passive
 from .pinned_regions import PinnedRegion, resolve_pinned_parts, with_pinned_masses
 from .placement import PlacementError
-from .setting_checks import report_flip_ratio, warn_of_locking, warn_of_small_objects
+from .setting_checks import report_flip_ratio, warn_of_locking, warn_of_unlikely_objects
 from .surface_descriptor import with_surface_descriptor
 
 log = logging.getLogger("vgmpi")
@@ -142,7 +142,7 @@ def build_scene(scene: Scene) -> PreparedScene:
     )
     warnings = warn_of_overlaps(scene, pieces)
     warn_of_locking(scene)
-    warn_of_small_objects(scene, pieces)
+    warn_of_unlikely_objects(scene, pieces)
     if scene.joint:
         warn_of_distant_joints(scene, [p.collider for p in pieces if p.collider is not None])
     report_flip_ratio(scene)

@@ -1,16 +1,21 @@
 """Warnings about settings that are allowed and rarely meant."""
 
 import logging
+import math
+from typing import Any
 
 import numpy as np
 
+from vgmpi.materials.hyperelastic import HyperelasticMaterial
 from vgmpi.scene.scene import Scene
 
 from .object_builder import BuiltObject
+from .shape_sdf import contains
 
 log = logging.getLogger("vgmpi")
 
 MIN_DOMAIN_FRACTION = 0.1  # [-] of the domain's edges, below which all objects together are small
+GREENHILL = 7.837  # [-] height^3 rho g A / (E I) at which a column buckles under its own weight
 
 
 def warn_of_locking(scene: Scene) -> None:
@@ -32,7 +37,61 @@ def report_flip_ratio(scene: Scene) -> None:
         )
 
 
-def warn_of_small_objects(scene: Scene, pieces: list[BuiltObject]) -> None:
+def warn_of_unlikely_objects(scene: Scene, pieces: list[BuiltObject]) -> None:
+    """Warn of objects that are lost in the domain, and of bodies too soft to stand.
+
+    Args:
+        scene: The scene.
+        pieces: Its objects.
+    """
+    _warn_of_small_objects(scene, pieces)
+    gravity = math.hypot(*scene.domain.gravity)
+    if not gravity or scene.domain.gravity_keyframes:
+        return
+    down = np.array(scene.domain.gravity) / gravity
+    for k, piece in enumerate(pieces):
+        if _stands_free(scene, k, piece, down):
+            _warn_of_buckling(scene, k, piece, float(np.ptp(piece.cloud.x @ down)), gravity)
+
+
+def _stands_free(scene: Scene, k: int, piece: BuiltObject, down: np.ndarray) -> bool:
+    """Return whether a body is elastic, and free or held at its lowest point."""
+    obj = scene.object[k]
+    is_elastic = isinstance(scene.material.get(obj.material or ""), HyperelasticMaterial)
+    if not is_elastic or obj.rigid or obj.motion is not None or not len(piece.cloud.x):
+        return False
+    lowest = piece.cloud.x[[np.argmax(piece.cloud.x @ down)]]
+    cell = scene.domain.cell
+    return not obj.pinned or any(contains(part, lowest, cell).any() for part in obj.pinned)
+
+
+def _warn_of_buckling(
+    scene: Scene, k: int, piece: BuiltObject, height: float, gravity: float
+) -> None:
+    """Warn of a body that buckles under its own weight as a round column of its volume does.
+
+    Args:
+        scene: The scene.
+        k: Row of the body.
+        piece: The body.
+        height: Its height [m].
+        gravity: Acceleration of gravity [m/s2].
+
+    References: A. G. Greenhill, Determination of the greatest height consistent with stability
+        that a vertical pole or mast can be made, Proc. Cambridge Phil. Soc. 4 (1881) 65-73.
+    """
+    material: Any = scene.material[scene.object[k].material or ""]
+    area = piece.volume.sum() / height if height else np.inf
+    needed = height**3 * material.density * gravity * 4 * np.pi / (GREENHILL * area)
+    if material.youngs_modulus < needed:
+        log.warning(
+            "%s: '%s' will fold under its own weight: it is %.3g m tall, and a column of its volume"
+            ' buckles there below youngs_modulus = "%.3g kPa"; thin legs need more',
+            scene.place(("object", k, "material")), scene.object[k].name, height, needed / 1000,
+        )  # fmt: skip
+
+
+def _warn_of_small_objects(scene: Scene, pieces: list[BuiltObject]) -> None:
     """Warn if all objects fill less than a thousandth of the domain, as if a unit were missing.
 
     Args:
