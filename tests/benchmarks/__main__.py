@@ -11,6 +11,7 @@ from typing import get_args
 
 from tests.benchmarks.comparison_commands import COMPARISON_COMMANDS
 from tests.benchmarks.liquid_commands import LIQUID_COMMANDS
+from tests.benchmarks.photograph_commands import PHOTOGRAPH_COMMANDS
 from vgmpi.apps.bench import interleaved_rounds
 from vgmpi.apps.bench.benchmark_case import BenchError, Case, lay_out
 from vgmpi.apps.bench.interleaved_rounds import Contestant
@@ -356,6 +357,7 @@ def _run_live(args) -> int:
 COMMANDS = {  # what it does, its flags, how it runs
     **LIQUID_COMMANDS,
     **COMPARISON_COMMANDS,
+    **PHOTOGRAPH_COMMANDS,
     "accuracy": ("how exact single precision is", _accuracy, _run_accuracy),
     "balance": ("how even a scene's work would be on many ranks", _balance, _run_balance),
     "bodies": ("what free rigid bodies cost", _bodies, _run_bodies),
