@@ -55,9 +55,10 @@ WRONG = [
     ("apic-corrected", "aflip", f'{RIGID}: is not for accuracy.transfer = "aflip"'),
     ("apic-corrected", "flip", f'{RIGID}: is not for accuracy.transfer = "flip"'),
     (
-        'material = "water"',
-        'material = "oak"\nrigid = true',
-        "no object has particles, which set the time step: add a body without rigid = true",
+        '[[object]]\nname = "pool"\nmaterial = "water"',
+        '[[probe]]\nname = "p"\nsampling_rate = 10\nwall = "all"\n'
+        '[[object]]\nname = "pool"\nmaterial = "oak"\nrigid = true',
+        "probe.p.wall: measures particles, and all bodies are rigid",
     ),
     (
         '"water"\nshape',

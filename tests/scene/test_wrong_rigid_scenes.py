@@ -103,7 +103,6 @@ SEVERAL = (
     "axle.limits.0: 'deg'",
     "axle.motor.force: unknown key",
     "object.pool.rigid: is not for scenery",
-    "object.beam.pinned: rigid and pinned",  # and no object has particles
     "object.beam.pinned: is not for accuracy",  # nor is the boat
     "object.wall.pinned: is not for scenery",
 )

@@ -14,7 +14,7 @@ MAX_SHIFT_INTERVAL, MAX_SHIFT_TRAVEL_CELLS = 6, 2.41
 
 def correction_interval(scene: Scene) -> int:
     """Return the number of steps between two transfer corrections, 0: never."""
-    if not scene.accuracy.restores:
+    if not (scene.accuracy.restores and scene.has_particles):
         return 0
     travel = int(MAX_WAVE_TRAVEL_CELLS / scene.courant_number)
     return max(1, min(MAX_CORRECTION_INTERVAL, travel))

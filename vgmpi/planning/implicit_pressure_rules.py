@@ -8,6 +8,7 @@ from vgmpi.scene.scene import Scene
 from .phases_and_groups import GroupPlan, PhasePlan
 
 WALL_KINDS = ("slip", "stick")
+RIGID_STEPS = 10.0  # [-] steps of rigid bodies alone in the time in which a drop falls `cfl` cells
 
 
 def is_implicit(scene: Scene) -> bool:
@@ -16,17 +17,19 @@ def is_implicit(scene: Scene) -> bool:
 
 
 def falling_rate(scene: Scene) -> float:
-    """Return the least 1 / dt [1/s] by which a drop falls by less than `cfl` cells in a step.
+    """Return the least 1 / dt [1/s] that gravity asks for where no waves bound the step, else 0.
 
-    It is 0 with an explicit pressure, whose waves bound the step. Without gravity a step is at most
-    the time between two frames.
+    With an implicit pressure a drop at rest falls by less than `cfl` cells in a step. In a scene of
+    rigid bodies alone a step is RIGID_STEPS times shorter, for the error of their way: it is half
+    the way of a step. Without gravity the time between two frames takes the place of this one.
     """
-    if not is_implicit(scene):
+    if not is_implicit(scene) and scene.has_particles:
         return 0.0
     keys = [scene.domain.gravity, *(gravity for _, gravity in gravity_keys(scene.domain))]
     gravity = max(math.sqrt(sum(g * g for g in key)) for key in keys)
     falling = math.sqrt(2.0 * gravity / scene.domain.cell) / scene.courant_number
-    return falling or (scene.time.frames - 1) / scene.time.end
+    falling = falling or (scene.time.frames - 1) / scene.time.end
+    return falling if scene.has_particles else RIGID_STEPS * falling
 
 
 def check_implicit_pressure(

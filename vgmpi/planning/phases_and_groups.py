@@ -164,13 +164,9 @@ def phases_with_surface(scene: Scene) -> frozenset[str]:
 
 
 def phases_of(
-    scene: Scene,
-    bodies: dict,
-    volume: list[float],
-    center: list[list[float]],
-    surface: list[bool],
-    driven: dict[str, tuple[int, ...]],
-) -> tuple[PhasePlan, ...]:
+    scene: Scene, bodies: dict, volume: list[float], center: list[list[float]],
+    surface: list[bool], driven: dict[str, tuple[int, ...]],
+) -> tuple[PhasePlan, ...]:  # fmt: skip
     """Return the phases of a scene, in the order of their names.
 
     Args:
@@ -253,7 +249,7 @@ def groups_of(
     deforming = {
         pair for k in parts if stores_deformation(scene, scene.things[k]) for pair in parts[k]
     }
-    groups = (_group(number[p], p, m, scene.material[m], real) for p, m in pairs)
+    groups = (make_group(number[p], p, m, scene.material[m], real) for p, m in pairs)
     result = tuple(
         _with_deformation(group, names in deforming, phases[group.phase].surface)
         for names, group in zip(pairs, groups, strict=True)
@@ -269,8 +265,16 @@ def _with_deformation(group: GroupPlan, drawn: bool, surface: bool) -> GroupPlan
     )
 
 
-def _group(phase: int, phase_label: str, name: str, material, real: np.dtype) -> GroupPlan:
-    """Return the group of a material in a phase."""
+def make_group(phase: int, phase_label: str, name: str, material, real: np.dtype) -> GroupPlan:
+    """Return the group of a material in a phase.
+
+    Args:
+        phase: Number of the phase.
+        phase_label: Name of the phase.
+        name: Name of the material.
+        material: The material.
+        real: Type of the numbers.
+    """
     law = material.law()
     reference = tuple(v for values in material.carries.values() for v in values)
     assert len(reference) == state_channels(type(law))

@@ -24,6 +24,7 @@ from vgmpi.scene.sections import Accuracy
 from .back_sides import WallSidesPlan, with_back_sides
 from .color_exchange import ColorExchange, color_exchange
 from .correction_intervals import correction_interval, shift_interval
+from .idle_phase import idle_phase
 from .implicit_pressure_rules import check_implicit_pressure, falling_rate, is_implicit
 from .inlet_schedule import InletPlan, OutletPlan, inlet_plans, outlet_plans
 from .interaction_rules import interaction_rules, with_slip_wave_factors
@@ -259,8 +260,8 @@ def make_plan(
     center, surface = center or [[0.0] * 3] * n, surface or [False] * n
     phases = phases_of(scene, bodies, volume, center, surface, prescribed_phases(scene))
     plain, group_of = groups_of(scene, bodies, phases, real)
-    sharing = interaction_rules(scene, plain, phases)
-    colors = color_exchange(scene, phases, shades)
+    phases, plain = (phases, plain) if bodies else idle_phase(scene, real)
+    sharing, colors = interaction_rules(scene, plain, phases), color_exchange(scene, phases, shades)
     _check_transfer(scene, sharing)
     keeps, restores = _flip_blend(scene.accuracy), correction_interval(scene)
     complete = tuple(
@@ -321,8 +322,8 @@ def time_step_bounds(scene: Scene, plan: Plan, stiffened: bool = False) -> list[
     stiff as a run can make it.
     """
     dx, bounds = scene.domain.cell, []
-    if is_implicit(scene):
-        bounds.append((1.0 / falling_rate(scene), "gravity across a cell"))
+    if rate := falling_rate(scene):
+        bounds.append((1.0 / rate, "gravity across a cell"))
     used = {group.material for group in plan.groups}
     for coupling in scene.coupling:
         if (

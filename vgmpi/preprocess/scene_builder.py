@@ -244,7 +244,7 @@ def _join(scene: Scene, pieces: list[BuiltObject]) -> PreparedScene:
     pinned = resolve_pinned_parts(scene, x, vol0, owner, objects, colliders)
     return PreparedScene(
         x=x,
-        v0=np.concatenate([_velocity(scene, k, pieces[k]) for k in bodies]),
+        v0=np.concatenate([np.zeros((0, 3)), *(_velocity(scene, k, pieces[k]) for k in bodies)]),
         vol0=vol0,
         object=owner,
         **_appearance(pieces, bodies, terms),
@@ -391,8 +391,8 @@ def _shade(pieces: Pieces, chosen: list[int]) -> np.ndarray | None:
 
 
 def _rows(pieces: Pieces, chosen: list[int], part: Callable[[BuiltObject], Any]) -> np.ndarray:
-    """Return an array of several objects, joined."""
-    return np.concatenate([part(pieces[k]) for k in chosen])
+    """Return an array of several objects, joined; no rows of any object if none is chosen."""
+    return np.concatenate([part(pieces[k]) for k in chosen or [0]])[: None if chosen else 0]
 
 
 def _owners(pieces: Pieces, chosen: list[int]) -> np.ndarray:

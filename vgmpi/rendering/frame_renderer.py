@@ -17,7 +17,7 @@ from vgmpi.runtime import memory_budget
 from . import image_io, render_config
 from .appearance import Appearance, view_dependent_splats
 from .camera_paths import CameraPath
-from .frame_gaussians import GaussianBatch
+from .frame_gaussians import GaussianBatch, moving
 from .raster import ground_plane, liquid_surface, rasterize, shadow_lighting
 from .run_liquids import Liquids
 
@@ -282,6 +282,14 @@ def domain_box(run: RunReader) -> tuple[np.ndarray, np.ndarray]:
         return x.min(axis=0), x.max(axis=0)
 
 
+def positions_of_bodies(run: RunReader, number: int) -> list[np.ndarray]:
+    """Return the centers of the Gaussians (n, 3) [m] of each rigid body in a frame."""
+    scenery, poses = run.gaussians.scenery, run.frame(number).get("poses", ())
+    bodies = zip(moving(run.objects), poses, strict=False)
+    rows = [(np.asarray(scenery.x0)[scenery.object == k], pose) for k, pose in bodies]
+    return [x @ pose[:3, :3].T + pose[:3, 3] for x, pose in rows]
+
+
 def visible_extent(run: RunReader) -> tuple[np.ndarray, np.ndarray]:
     """Return the lower and upper corner of the visible extent [m].
 
@@ -293,6 +301,8 @@ def visible_extent(run: RunReader) -> tuple[np.ndarray, np.ndarray]:
     for sample in np.unique(np.linspace(0, len(numbers) - 1, EXTENT_SAMPLES).round().astype(int)):
         with contextlib.suppress(RunError):  # the error is reported when that frame is drawn
             positions.append(run.positions(numbers[sample]))
+            if not len(run.gaussians.x0):  # all that moves is rigid
+                positions += positions_of_bodies(run, numbers[sample])
     scenery = run.gaussians.scenery
     if scenery is not None:
         positions.append(np.asarray(scenery.x0))

@@ -27,7 +27,7 @@ from .objects import Object, validate_body_name, validate_object, validate_relea
 from .pinned_parts import validate_pinned_parts
 from .probes import Probe, collider_names, validate_probe
 from .regions import validate_region_kinds
-from .rigid_objects import as_collider, validate_particles, validate_rigid_scene
+from .rigid_objects import as_collider, validate_bodies, validate_rigid_probes, validate_rigid_scene
 from .scene import Scene, miscible_materials, phase_of
 from .sections import SECTIONS, Appearance, Domain, Output, TopLevelKeys, validate_cell_counts
 from .slip_lengths import validate_slip_lengths
@@ -123,6 +123,7 @@ class SceneLoader:
         )
         flows = bool(inlets or outlets or (domain and domain.open_walls))
         self.errors += validate_balance(probes, flows, objects)
+        self.errors += validate_rigid_probes(probes, objects, bool(inlets))
         if domain:
             self.errors += validate_cell_counts(domain)
             self.check_hydrostatic(objects, domain)
@@ -233,7 +234,7 @@ class SceneLoader:
         pours = bool(self.source.data.get("inlet"))
         if not raw and not pours:
             self.report(("object",), "there is no object")
-        elif not pours and (message := validate_particles(raw)):
+        elif not pours and (message := validate_bodies(raw)):
             self.report(("object",), message)
         for k, obj in enumerate(objects):
             material = kinds.get(obj.material) if obj else None

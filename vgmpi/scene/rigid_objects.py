@@ -23,6 +23,7 @@ KEYS_OF_PARTICLES = (
     "subtract",
     "track_deformation",
 )
+PROBES_OF_PARTICLES = "velocity", "wall", "collider"
 
 
 class FreeBody(NamedTuple):
@@ -51,16 +52,30 @@ def validate_rigid(raw: dict, scenery: bool) -> list[tuple[tuple, str]]:
     return [((key,), message) for key in KEYS_OF_PARTICLES if key in raw]
 
 
-def validate_particles(objects: list[dict]) -> str:
-    """Return why objects, as read, have no particles, or an empty text."""
+def validate_bodies(objects: list[dict]) -> str:
+    """Return why objects, as read, hold nothing that moves, or an empty text."""
     if all(raw.get("role") == "scenery" for raw in objects):
         return "all objects are scenery: at least one must be a body"
-    if all(raw.get("role") == "scenery" or raw.get("rigid") is True for raw in objects):
-        return (
-            "no object has particles, which set the time step: add a body without rigid = true,"
-            " or an [[inlet]]; a small body beside the others is enough"
-        )
     return ""
+
+
+def validate_rigid_probes(probes: list, objects: list, pours: bool) -> list[tuple[tuple, str]]:
+    """Return (path, message) of probes of particles in a scene of rigid bodies alone.
+
+    Args:
+        probes: Probes of the scene, None in place of invalid ones.
+        objects: Objects of the scene, None in place of invalid ones.
+        pours: Whether the scene has inlets.
+    """
+    if pours or any(obj is None or not (obj.rigid or obj.role == "scenery") for obj in objects):
+        return []
+    message = "measures particles, and all bodies are rigid; object = NAME measures a rigid body"
+    return [
+        (("probe", k, key), message)
+        for k, probe in enumerate(probes)
+        for key in PROBES_OF_PARTICLES
+        if probe is not None and getattr(probe, key) is not None
+    ]
 
 
 def validate_rigid_scene(

@@ -74,6 +74,11 @@ class Scene:
         return (*self.object, *self.inlet)
 
     @property
+    def has_particles(self) -> bool:
+        """Return whether an object or inlet has particles; else all bodies are rigid."""
+        return any(entity.material is not None for entity in self.things)
+
+    @property
     def is_open_system(self) -> bool:
         """Return whether particles enter or leave the domain."""
         return bool(self.inlet or self.outlet or self.domain.open_walls)

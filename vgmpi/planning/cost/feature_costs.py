@@ -162,6 +162,8 @@ def _blocks(plan: Plan, g: int, fluid: float, costs: StepCosts) -> list[Feature]
 
 def feature_table(scene: Scene, plan: Plan, pace: Throughput) -> list[str]:
     """Return the lines of --plan on the features of all groups, at the start."""
+    if not any(plan.count):
+        return []
     stages = "".join(f"{stage:>6s}" for stage in STAGES)
     lines = [
         f"  price       {'of a particle and a step, at the start':46s}{'ns':>6s}{stages} bytes"

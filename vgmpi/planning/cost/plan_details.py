@@ -43,7 +43,7 @@ def _phases(plan: Plan) -> list[str]:
     lines = []
     for phase in plan.phases[: plan.phases_of_bodies]:
         for g, group in enumerate(plan.groups):
-            if plan.phases[group.phase] is not phase:
+            if plan.phases[group.phase] is not phase or not phase.objects:
                 continue
             n = sum(count for count, group_number in group_counts(plan) if group_number == g)
             fields = ", ".join(f"{name} {size}" for name, size in plan.fields(g).items())

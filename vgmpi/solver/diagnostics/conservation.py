@@ -149,8 +149,9 @@ def format_drift(first: list[dict], last: list[dict]) -> str:
             e.get(f"rigid_{kind}_energy", 0.0) for e in entries for kind in ("kinetic", "potential")
         )
     low, high = min(e["J_min"] for e in last), max(e["J_max"] for e in last)
-    return (
-        f"mass {mass[1]:.6g} kg ({label} {change:+.1e}), "
-        f"energy {energy[0]:.4g} -> {energy[1]:.4g} J"
-        + (f", J {low:.3f} .. {high:.3f}" if low <= high else "; no particle is left")
+    energies = f"energy {energy[0]:.4g} -> {energy[1]:.4g} J"
+    if not any(mass) and any("rigid_kinetic_energy" in e for e in last):
+        return f"{energies} of rigid bodies"
+    return f"mass {mass[1]:.6g} kg ({label} {change:+.1e}), {energies}" + (
+        f", J {low:.3f} .. {high:.3f}" if low <= high else "; no particle is left"
     )

@@ -149,15 +149,17 @@ def timing_table(run: Runner, clock: Clock) -> str:
         return ""
     wall = clock.last - clock.began
     steps = simulation.step - run.first_step
-    particles = run.plan.particles
+    particles, unit, units = run.plan.particles, "particle", "particles"
+    if not particles and run.plan.rigid is not None:
+        particles, unit, units = len(run.plan.rigid.bodies), "body", "rigid bodies"
     if run.plan.is_open_system:  # the particles present now
         particles = max(1, sum(entry["particles"] for entry in run.latest_conservation))
-    lines = [f"{steps:,} steps of {particles:,} particles in {wall:.1f} s on {ranks.size} rank(s)"]
+    lines = [f"{steps:,} steps of {particles:,} {units} in {wall:.1f} s on {ranks.size} rank(s)"]
     if steps and wall > 0:
         rate = steps * particles / wall
-        lines[0] += f": {rate / 1e6:.2f} million particle-steps per second"
+        lines[0] += f": {rate / 1e6:.2f} million {unit}-steps per second"
         per = 1e9 / (steps * particles) * ranks.size
-        lines.append("  stage   mean over ranks   largest   ns per particle and step")
+        lines.append(f"  stage   mean over ranks   largest   ns per {unit} and step")
         for k, stage in enumerate(STAGES):
             mean, maximum = by_rank[:, k].mean(), by_rank[:, k].max()
             lines.append(f"  {stage:6s} {mean:12.2f} s {maximum:9.2f} s {mean * per:10.1f}")
