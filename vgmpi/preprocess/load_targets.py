@@ -61,7 +61,7 @@ def _loaded(load, chosen, spacing, x, vol0, densities) -> ResolvedLoad:
     uniform = (
         load.acceleration
         or load.delta_velocity
-        or (load.delta_angular_velocity and (0.0, 0.0, 0.0))
+        or ((load.delta_angular_velocity or load.damping) and (0.0, 0.0, 0.0))
     )
     if uniform is not None:
         mass = float((densities[chosen] * vol0[chosen]).sum())

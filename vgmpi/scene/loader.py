@@ -122,7 +122,7 @@ class SceneLoader:
             data.get("outlet", []), "outlet", Outlet, lambda raw, _: validate_outlet(raw, inlets)
         )
         flows = bool(inlets or outlets or (domain and domain.open_walls))
-        self.errors += validate_balance(probes, flows, objects)
+        self.errors += validate_balance(probes, flows, objects, loads)
         self.errors += validate_rigid_probes(probes, objects, bool(inlets))
         if domain:
             self.errors += validate_cell_counts(domain)

@@ -24,7 +24,7 @@ FACES = {
     "bottom": (2, -1),
     "top": (2, 1),
 }
-SUSTAINED = ("force", "pressure", "acceleration")
+SUSTAINED = ("force", "pressure", "acceleration", "damping")
 IMPULSIVE = ("impulse", "delta_velocity", "delta_angular_velocity")  # they act in one step
 STRENGTHS = (*SUSTAINED, *IMPULSIVE)
 
@@ -37,7 +37,7 @@ def as_list(value: Any) -> Any:
 class Load(StrictModel):
     """Load on bodies in addition to gravity: exactly one kind of load.
 
-    force, pressure and acceleration are continuous; impulse, delta_velocity and
+    force, pressure, acceleration and damping are continuous; impulse, delta_velocity and
     delta_angular_velocity act in one step, at the time `start_time`. A load changes momentum and
     energy in ledger.csv.
     """
@@ -56,6 +56,10 @@ class Load(StrictModel):
     """face of the bounding box: at low x, high x, low y, high y, low z, high z"""
     acceleration: tuple[Acceleration, Acceleration, Acceleration] | None = None
     """acceleration of every particle"""
+    damping: Annotated[float, Quantity("1/s", gt=0)] | None = None
+    """mass-proportional damping coefficient (Rayleigh's alpha): a force of -damping mass velocity.
+    The velocity of a free body decays as exp(-damping t) at any time step. Twice the angular
+    frequency of the slowest vibration brings a body to rest soonest"""
     impulse: tuple[NewtonSecond, NewtonSecond, NewtonSecond] | None = None
     """total impulse, distributed by rest volume"""
     delta_velocity: tuple[Speed, Speed, Speed] | None = None

@@ -12,10 +12,25 @@ def push(f, indices, dv):
 
     Args:
         f: Particle channels (in/out), shape (channels, cap).
-        places: Particle indices, shape (n,).
+        indices: Particle indices, shape (n,).
         dv: Velocity change, shape (3,) [m/s].
     """
     for a in range(3):
         row, change = f[a], dv[a]
         for p in indices:
             row[p] += change
+
+
+@kernel
+def damp(f, indices, rows, factor):
+    """Scale some channels of some particles.
+
+    Args:
+        f: Particle channels (in/out), shape (channels, cap).
+        indices: Particle indices, shape (n,).
+        rows: Numbers of the channels, shape (m,).
+        factor: Fraction that is left [-].
+    """
+    for row in rows:
+        for p in indices:
+            f[row, p] *= factor

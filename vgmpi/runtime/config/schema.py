@@ -57,6 +57,7 @@ _UNITS: dict[str, tuple[str | float, tuple[int, ...]]] = {
 }
 _DIMENSION_NAMES = {  # dimension of a unit, as an error names it
     "": "a plain number", "1": "a share", "m": "a length", "s": "a time", "Hz": "a rate",
+    "1/s": "a rate",
     "N": "a force", "Pa": "a pressure or a stiffness", "Pa s": "a viscosity",
     "kg/m3": "a density", "m/s": "a speed", "m/s2": "an acceleration", "m2/s": "a diffusion",
     "kg/s": "a mass per time", "m3/s": "a volume per time",

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from vgmpi.kernels.transfer.apply_loads import push
+from vgmpi.kernels.transfer.apply_loads import damp, push
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.plan import Plan
@@ -51,6 +51,9 @@ class Pushes:
             amount = loaded.load.amount(time, end, dt)
             if amount == 0.0:
                 continue
+            if loaded.load.damping is not None:
+                self._damp(math.exp(-amount * loaded.load.damping), groups, indices)
+                continue
             if loaded.load.delta_angular_velocity is not None:
                 bound += self._spin(loaded, groups, indices)
                 continue
@@ -61,6 +64,21 @@ class Pushes:
                 fastest = max(fastest, float(np.abs(self.dv).max()))
             bound += fastest
         return bound
+
+    def _damp(self, left: float, groups: list[ParticleGroup], indices: list[np.ndarray]) -> None:
+        """Leave a fraction of the velocities, and of the gradients that continue them.
+
+        Args:
+            left: The fraction.
+            groups: Particle groups (in/out); a given motion is not damped.
+            indices: Particle indices in each group, shape (n,).
+        """
+        for group, index in zip(groups, indices, strict=True):
+            if group.plan.is_carried:
+                continue
+            first = group.plan.channels.first("C")
+            rows = [0, 1, 2, *(range(first, first + 9) if self.plan.affine else ())]
+            damp(group.f, index, np.array(rows), self.plan.real.type(left))
 
     def _spin(
         self, loaded: ResolvedLoad, groups: list[ParticleGroup], indices: list[np.ndarray]
