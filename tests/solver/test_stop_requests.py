@@ -7,8 +7,15 @@ import time
 
 import pytest
 
-from tests.support.launch import finish, start
-from vgmpi.solver.stop_requests import EndedBySignalError, Requests, begin_steps, signals_heard
+from tests.support.launch import finish, run, start
+from tests.support.small_scenes import MIXED, write
+from vgmpi.solver.stop_requests import (
+    EndedBySignalError,
+    Requests,
+    begin_steps,
+    signals_heard,
+    stop_signal_held,
+)
 
 ENDING = [signal.SIGTERM, signal.SIGHUP, signal.SIGXCPU]
 # compiled code that does not return for minutes; Python's handlers cannot run
@@ -19,6 +26,18 @@ logging.getLogger("vgmpi").setLevel(LEVEL)
 with signals_heard():
     threading.Timer(0.5, print, ["ready"], {"flush": True}).start()  # while it computes
     hashlib.pbkdf2_hmac("sha256", b"", b"", 10**9)
+"""
+# a run that gets SIGUSR1 while its module is loaded
+EARLY = """
+import importlib, os, signal, sys
+from vgmpi.apps import commands
+load = importlib.import_module
+def load_late(name, package=None):
+    if name == "vgmpi.apps.run.start":
+        os.kill(os.getpid(), signal.SIGUSR1)
+    return load(name, package)
+importlib.import_module = load_late
+sys.exit(commands.main(sys.argv[1:]))
 """
 
 
@@ -50,6 +69,27 @@ def test_usr1_is_kept_for_the_first_step():
         assert Requests().poll(1) == (1.0, 0.0)
     with signals_heard():
         assert Requests().poll(1) == (0.0, 0.0), "of the run before"
+
+
+def test_usr1_is_held_for_a_run_that_starts():
+    with stop_signal_held():
+        signal.raise_signal(signal.SIGUSR1)
+        with signals_heard():
+            begin_steps()
+            assert Requests().poll(1) == (1.0, 0.0)
+        signal.raise_signal(signal.SIGUSR1)  # behind the last step
+    assert signal.SIGUSR1 not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("ranks", ["1", "2"])
+def test_usr1_before_the_program_is_loaded_stops_with_a_checkpoint(ranks, tmp_path):
+    scene = write(tmp_path, MIXED.replace("PRECISION", "single"))
+    out = tmp_path / "out"
+    job = run([sys.executable, "-c", EARLY, str(scene), "--ranks", ranks, "-o", str(out)])
+    assert job.returncode == 75, job.stderr
+    assert "stopped; go on with --resume" in job.stdout
+    assert len(list((out / "checkpoints").glob("*.h5"))) == 1
 
 
 def test_what_nohup_ignores_stays_ignored():

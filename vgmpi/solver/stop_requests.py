@@ -34,6 +34,20 @@ def _line_of(number: int) -> str:
 
 
 @contextlib.contextmanager
+def stop_signal_held() -> Iterator[None]:
+    """Hold SIGUSR1 back until `signals_heard` takes it, so that it ends no program that starts.
+
+    What arrives later, when the run is over, is dropped.
+    """
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGUSR1})
+    try:
+        yield
+    finally:
+        signal.sigtimedwait({signal.SIGUSR1}, 0)
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+
+
+@contextlib.contextmanager
 def signals_heard() -> Iterator[None]:
     """Handle the signals that stop a run, from before anything that takes time to its end.
 
@@ -51,9 +65,12 @@ def signals_heard() -> Iterator[None]:
         if before[number] is not signal.SIG_IGN:
             signal.signal(number, _on_signal)
     with _forced_end():
+        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, ())
         try:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGUSR1})
             yield
         finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
             for number, handler in before.items():
                 signal.signal(number, signal.SIG_DFL if handler is None else handler)
 

@@ -112,6 +112,7 @@ class _Listener:
         self.processes: dict[socket.socket, int] = {}
         self.codes: list[int] = []
         self.connected = 0  # ranks that have ever connected
+        self.is_asked_to_stop = False  # SIGUSR1 came, which every rank gets
 
     def receive(self, ready: list) -> None:
         """Take connections and exit codes from what is ready to be read."""
@@ -143,6 +144,9 @@ class _Listener:
             return
         self.processes[connection] = process
         self.connected += 1
+        if self.is_asked_to_stop:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(process, signal.SIGUSR1)
 
     def close(self) -> None:
         """Close all connections."""
@@ -167,14 +171,21 @@ class _Supervisor:
         for number, handler in handlers.items():
             if before[number] is not signal.SIG_IGN:  # as under nohup
                 signal.signal(number, handler)
+        held = signal.pthread_sigmask(signal.SIG_BLOCK, ())
         try:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGUSR1})
             yield
         finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, held)
             for number, old in before.items():
                 signal.signal(number, old)
 
     def _forward(self, number: int, frame: object) -> None:
-        """Hand a signal to all ranks; end mpirun if there are none yet."""
+        """Hand a signal to all ranks; one to end ends mpirun if there are none yet."""
+        if number == signal.SIGUSR1:
+            self.listener.is_asked_to_stop = True
+            self._signal_ranks(number)
+            return
         self.received.append(number)
         if not self.listener.processes:
             self.deadline = min(self.deadline, time.monotonic())
