@@ -13,7 +13,7 @@ import pytest
 from tests.benchmarks import compare_checkouts
 from vgmpi.apps.bench import __main__ as command
 from vgmpi.apps.bench import interleaved_rounds, result_tables, roofline
-from vgmpi.apps.bench.benchmark_case import BenchError, Case, lay_out
+from vgmpi.apps.bench.benchmark_case import BenchError, Case, WorkerError, lay_out
 from vgmpi.apps.bench.interleaved_rounds import Contestant, Worker, run_interleaved
 from vgmpi.materials import registry
 from vgmpi.runtime.config.schema import Quantity, StrictModel
@@ -209,8 +209,51 @@ def test_a_material_without_defaults_is_one_clear_line(monkeypatch, capsys):
 def test_an_unknown_material_is_one_clear_line(capsys):
     assert command.main(["--laws", "custard"]) == 2
     assert capsys.readouterr().err == (
-        f"vgmpi.apps.bench: there is no material of kind 'custard'; known: {', '.join(registry)}\n"
+        f"vgmpi bench: there is no material of kind 'custard'; known: {', '.join(registry)}\n"
     )
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--json", "none/found.json"],
+        ["--json", "."],
+        ["board", "-o", "file"],
+        ["--particles", "0"],
+        ["--seconds", "nan"],
+        ["card", "--rounds", "0"],
+        ["compare", "file", "file"],
+    ],
+)
+def test_wrong_words_are_one_line_before_anything_is_measured(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("text")
+    monkeypatch.setattr(command, "measure", lambda *_: pytest.fail("measured"))
+    try:
+        code = command.main(words)
+    except SystemExit as end:
+        code = end.code
+    assert code == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_a_program_that_fails_is_no_error_of_the_words(small, tmp_path, monkeypatch, capsys):
+    """A measurement with a row that failed ends with 1, as does a command whose worker fails."""
+    monkeypatch.setattr(interleaved_rounds.sys, "executable", shutil.which("false"))
+    case, folder = small
+    rows = run_interleaved(case, [PLAIN], 1, 0.01, folder, lambda line: None)
+    assert rows[0]["note"].startswith("ended early")
+    group = {"law": "fluid", "particles": case.particles, "rows": rows}
+    assert result_tables.failures({"groups": [group]}) == [
+        f"fluid, {result_tables._label(rows[0])}: {rows[0]['note']}"
+    ]
+
+    def fail(args):
+        raise WorkerError("ended early")
+
+    monkeypatch.setitem(command.COMMANDS, "speed", (*command.COMMANDS["speed"][:2], fail))
+    assert command.main(["--particles", "500"]) == 1
+    assert capsys.readouterr().err == "vgmpi bench: ended early\n"
 
 
 def test_words_and_flops_of_a_fluid():

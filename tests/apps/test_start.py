@@ -5,8 +5,9 @@ import math
 import pytest
 
 from tests.support.small_scenes import MIXED, write
-from vgmpi.apps.run import cli, rank_supervisor, start
+from vgmpi.apps.run import cli, plan_command, rank_supervisor, start
 from vgmpi.apps.run.core_choice import choose_ranks, expected_particles, predicted_run_seconds
+from vgmpi.apps.run.flags import parse_arguments
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.launch import describe_stop, launched_by
 from vgmpi.planning.cost.run_estimate import predicted_seconds
@@ -84,6 +85,45 @@ def test_other_programs_keep_their_cores(path, free, asked, capsys):
     said = capsys.readouterr().err
     assert "2 of 4 cores: 2 ranks; other programs use the rest (--ranks 4 takes them" in said
     assert "1 of 4 cores: other programs use the rest" in said
+
+
+@pytest.mark.parametrize(
+    "words, count, reason",
+    [
+        (["--set", LONG[0]], 4, "4 of 4 cores, which a run takes by itself if they are free"),
+        ([], 1, "1 of 4 cores: the scene is too small for more"),
+        (["--set", LONG[0], "--ranks", "3"], 3, ""),
+        (["--set", LONG[0], "--threads", "2"], 1, ""),
+        (["--set", LONG[0], "--engine", "numpy"], 1, ""),
+    ],
+)
+def test_a_plan_is_for_the_ranks_of_a_plain_run(path, free, monkeypatch, words, count, reason):
+    monkeypatch.setattr(plan_command, "physical_cores", lambda: 4)
+    monkeypatch.setattr(plan_command, "find_mpirun", lambda: "mpirun")
+    args = parse_arguments([str(path), "--plan", *words])
+    scene = load(args.scene, args.set)
+    assert plan_command.planned_ranks(scene, args, SerialCommunicator()) == (count, reason)
+    monkeypatch.setattr(plan_command, "find_mpirun", lambda: None)
+    without = plan_command.planned_ranks(scene, args, SerialCommunicator())
+    if count == 4:
+        assert without == (1, "there is no mpirun here: a run takes 4 threads")
+    else:
+        assert without == (count, reason)
+
+
+def test_the_time_of_a_plan_is_that_on_its_ranks(path, free, monkeypatch, capsys):
+    pace = ASSUMED_THROUGHPUT["single"]._replace(of="as told")
+    monkeypatch.setattr(plan_command.calibration, "host_throughput", lambda *_, **__: pace)
+    monkeypatch.setattr(plan_command, "is_compiled", lambda plan: False)  # no pilot run
+    monkeypatch.setattr(plan_command, "physical_cores", lambda: 4)
+    monkeypatch.setattr(plan_command, "find_mpirun", lambda: "mpirun")
+    times = []
+    for words in ([], ["--ranks", "1"]):
+        assert cli.main([str(path), "--plan", "--set", "time.end=600", *words]) == 0
+        out = capsys.readouterr().out
+        times.append(out.split("  time ")[1].split("\n")[0])
+    assert "on 4 rank(s)" in times[0] and "on 1 rank(s)" in times[1]
+    assert times[0].split(" on ")[0] != times[1].split(" on ")[0]
 
 
 @pytest.mark.parametrize(

@@ -57,8 +57,30 @@ def _run_board_steps(args: argparse.Namespace) -> int:
     return 0
 
 
+def _cores(parser: argparse.ArgumentParser) -> None:
+    from tests.benchmarks.core_use import SCENES
+
+    say = parser.add_argument
+    say("--scenes", nargs="+", default=list(SCENES), choices=SCENES, metavar="NAME")
+    say("--rounds", type=int, default=5, help="default 5")
+    say("--free", type=float, default=1.8, help="cores to wait for before a part, default 1.8")
+    say("--patience", type=float, default=120.0, metavar="S", help="longest wait, default 120 s")
+    say("--start", action="store_true", help="what a start on ranks costs instead")
+
+
+def _run_cores(args: argparse.Namespace) -> int:
+    from tests.benchmarks import core_use
+
+    how = args.rounds, args.free, args.patience, print_progress
+    rows = core_use.measure_start(*how) if args.start else core_use.compare_uses(args.scenes, *how)
+    for line in rows:
+        print(line, flush=True)
+    return 0
+
+
 COMPARISON_COMMANDS = {
     "against": ("beside another checkout", _against, _run_against),
     "board-steps": ("runs of the board with a shorter step", _board_steps, _run_board_steps),
+    "cores": ("ranks beside threads, and what a start on ranks costs", _cores, _run_cores),
     "scenes": ("scenes of runs/ beside another checkout", _scenes, _run_scenes),
 }

@@ -18,7 +18,14 @@ from . import gpu, interleaved_rounds, result_tables, roofline
 from .benchmark_case import BenchError, Case, lay_out
 from .board import board_command
 from .interleaved_rounds import Contestant
-from .subcommands import parse_arguments, print_progress, run_command
+from .subcommands import (
+    check_file_can_be_written,
+    parse_arguments,
+    positive_number,
+    positive_seconds,
+    print_progress,
+    run_command,
+)
 
 
 def arguments(argv: list[str]) -> argparse.Namespace:
@@ -33,17 +40,11 @@ def arguments(argv: list[str]) -> argparse.Namespace:
 
 
 def _speed(parser: argparse.ArgumentParser) -> None:
-    def number(text: str) -> int:
-        """Parse a positive whole number, such as 1e5."""
-        if int(float(text)) < 1:
-            raise ValueError
-        return int(float(text))
-
     say = parser.add_argument
     say(
         "--particles",
         nargs="+",
-        type=number,
+        type=positive_number,
         default=[600_000],
         metavar="N",
         help="particle counts, such as 1e5 4e5 1e6; small counts fit the last cache, which other"
@@ -62,8 +63,8 @@ def _speed(parser: argparse.ArgumentParser) -> None:
         default=["single", "double"],
         help="precision of vgmpi; the other codes use single precision",
     )
-    say("--rounds", type=number, default=5, metavar="N", help="rounds of all programs")
-    say("--seconds", type=float, default=0.6, help="length of a round [s]")
+    say("--rounds", type=positive_number, default=5, metavar="N", help="rounds of all programs")
+    say("--seconds", type=positive_seconds, default=0.6, help="length of a round [s]")
     say(
         "--only",
         nargs="+",
@@ -166,7 +167,7 @@ def machine() -> dict:
 def main(argv: list[str] | None = None) -> int:
     """Run the command; returns the exit code."""
     words = sys.argv[1:] if argv is None else argv
-    return run_command("vgmpi.apps.bench", arguments(words), (BenchError,))
+    return run_command("vgmpi bench", arguments(words), (BenchError,))
 
 
 def _run_compare(args: argparse.Namespace) -> int:
@@ -175,13 +176,15 @@ def _run_compare(args: argparse.Namespace) -> int:
 
 
 def _run_speed(args: argparse.Namespace) -> int:
+    if args.json:
+        check_file_can_be_written(args.json)
     results = measure(args, print_progress)
     if args.json:
         replace_file(args.json, json.dumps(results, indent=1) + "\n")
     print(result_tables.text(results))
     failed = result_tables.failures(results)
     for line in failed:
-        print(f"vgmpi.apps.bench: {line}", file=sys.stderr)
+        print(f"vgmpi bench: {line}", file=sys.stderr)
     return 1 if failed else 0
 
 

@@ -17,6 +17,7 @@ from vgmpi.materials import registry
 from vgmpi.materials.material import Material, law_function
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.preprocess.scene_builder import build_scene
+from vgmpi.runtime.argument_parser import EXIT_USAGE
 from vgmpi.scene.loader import load
 from vgmpi.scene.scene import Scene
 from vgmpi.solver.initial_particles import preparation_hash
@@ -43,7 +44,15 @@ MARGIN = 3  # cells of a dense grid that stay empty around the cube
 
 
 class BenchError(Exception):
-    """Something that cannot be measured; one line for the user."""
+    """Something that cannot be measured as it was asked for; one line for the user."""
+
+    exit_code = EXIT_USAGE
+
+
+class WorkerError(BenchError):
+    """A program that was to be measured failed; one line for the user."""
+
+    exit_code = 1
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
+from vgmpi.runtime.argument_parser import EXIT_USAGE
+
 from . import interleaved_rounds
 from .benchmark_case import BenchError, Case, lay_out
 from .interleaved_rounds import Contestant, Worker
+from .subcommands import positive_number, positive_seconds
 
 LIMIT = 480.0  # [s] of all of it
 STAGES = ("p2g", "grid", "g2p", "sort", "halo", "wait")
@@ -29,25 +32,25 @@ def flags(parser: argparse.ArgumentParser) -> None:
     say(
         "--particles",
         nargs="+",
-        type=float,
+        type=positive_number,
         default=[1e5, 1e6, 1e7, 1e8],
         metavar="N",
         help="particle counts",
     )
     say("--laws", nargs="+", default=["fluid", "elastic", "sand"], metavar="LAW", help="materials")
-    say("--rounds", type=int, default=3, help="rounds of all programs")
-    say("--seconds", type=float, default=1.0, help="length of a round [s]")
+    say("--rounds", type=positive_number, default=3, help="rounds of all programs")
+    say("--seconds", type=positive_seconds, default=1.0, help="length of a round [s]")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print what was asked for; 2 where there is no card."""
+    """Print what was asked for; return the exit code, 2 where there is no card."""
     try:
         for text in lines(args):
             sys.stdout.write(text + "\n")
             sys.stdout.flush()
     except (BenchError, ImportError) as error:
-        sys.stderr.write(f"{error}\n")
-        return 2
+        sys.stderr.write(f"vgmpi bench: {error}\n")
+        return getattr(error, "exit_code", EXIT_USAGE)
     return 0
 
 

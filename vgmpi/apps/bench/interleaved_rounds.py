@@ -22,7 +22,7 @@ import numpy as np
 
 from vgmpi.parallel.launch import OPEN_MPI
 
-from .benchmark_case import DX, PER_STEP, BenchError, Case
+from .benchmark_case import DX, PER_STEP, BenchError, Case, WorkerError
 from .contestant_worker import CONTESTANTS
 
 START_SECONDS = 300.0  # a contestant may take to compile
@@ -170,7 +170,7 @@ class Worker:
                 link, _ = listener.accept()
             except TimeoutError:
                 if self.process.poll() is not None or time.monotonic() > until:
-                    raise BenchError(self._last_words()) from None
+                    raise WorkerError(self._last_words()) from None
                 continue
             link.settimeout(START_SECONDS)
             self.links.append((link, link.makefile("rw", encoding="utf-8")))
@@ -181,14 +181,14 @@ class Worker:
             try:
                 line = lines.readline()
             except TimeoutError:
-                raise BenchError(f"no answer in {START_SECONDS:.0f} s") from None
+                raise WorkerError(f"no answer in {START_SECONDS:.0f} s") from None
             if not line:
-                raise BenchError(self._last_words())
+                raise WorkerError(self._last_words())
             answers.append(json.loads(line))
             if answers[-1].get("missing") in ("taichi", "warp"):
                 raise BenchError("not installed: pip install 'vgmpi[bench]'")
             if "error" in answers[-1]:
-                raise BenchError(answers[-1]["error"])
+                raise WorkerError(answers[-1]["error"])
         return answers
 
     def ask(self, do: str, **what) -> dict:
@@ -201,7 +201,7 @@ class Worker:
                 lines.write(json.dumps({"do": do, **what}) + "\n")
                 lines.flush()
         except OSError:
-            raise BenchError(self._last_words()) from None
+            raise WorkerError(self._last_words()) from None
         answers = self._hear()
         answer_of_all = dict(answers[0])
         for key, join in (("seconds", max), ("wall", max), ("mass", sum)):
@@ -254,7 +254,7 @@ def run_interleaved(
                 live.append((row, worker))
                 row["versions"] = worker.versions
             else:
-                row["note"] = worker
+                _note_failure(row, worker)
         say(f"{case.law}, {case.particles:,} particles: checking that all compute the same")
         _check(case, live, folder)
         _turns(case, live, rounds, seconds, say)
@@ -266,10 +266,10 @@ def run_interleaved(
 
 def _start_workers(
     case: Case, contestants: list[Contestant], folder: Path, say
-) -> list[Worker | str]:
+) -> list[Worker | BenchError]:
     """Return the workers, or why one cannot start; those of a card start at the same time."""
 
-    def start(contestant: Contestant) -> Worker | str:
+    def start(contestant: Contestant) -> Worker | BenchError:
         """Return the worker of a contestant, or why it cannot start."""
         say(f"{case.law}, {case.particles:,} particles: starting {contestant.label}")
         try:
@@ -277,7 +277,7 @@ def _start_workers(
                 raise BenchError(contestant.obstacle())
             return Worker(contestant, case, folder)
         except BenchError as error:
-            return str(error)
+            return error
 
     at_once = len(contestants) if all(c.card for c in contestants) else 1
     with ThreadPoolExecutor(at_once) as pool:
@@ -317,10 +317,17 @@ def _each(live: list, action) -> None:
         try:
             action(row, worker)
         except BenchError as error:
-            row["note"] = str(error)
+            _note_failure(row, error)
             row.pop("rounds", None)
             worker.close()
             live.remove((row, worker))
+
+
+def _note_failure(row: dict, error: BenchError) -> None:
+    """Note in a row why there is no result, and whether its program failed."""
+    row["note"] = str(error)
+    if isinstance(error, WorkerError):
+        row["failed"] = True
 
 
 def _check(case: Case, live: list, folder: Path) -> None:

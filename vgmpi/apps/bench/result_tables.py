@@ -105,12 +105,12 @@ def speed(group: dict, row: dict) -> float | None:
 
 
 def failures(results: dict) -> list[str]:
-    """Rows that computed something else."""
+    """Rows that computed something else, and those whose program failed."""
     return [
-        f"{group['law']}, {_label(row)}: {row['wrong']}"
+        f"{group['law']}, {_label(row)}: {row.get('wrong', row.get('note'))}"
         for group in results["groups"]
         for row in group["rows"]
-        if "wrong" in row
+        if "wrong" in row or row.get("failed")
     ]
 
 

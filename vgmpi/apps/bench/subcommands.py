@@ -1,11 +1,16 @@
 """Commands with subcommands: their flags are read, they run, and their errors become a line."""
 
 import argparse
+import math
+import os
 import sys
 from collections.abc import Callable, Mapping
+from pathlib import Path
 
-from vgmpi.runtime.argument_parser import ArgumentParser
+from vgmpi.runtime.argument_parser import EXIT_USAGE, ArgumentParser
 from vgmpi.runtime.config.schema import SceneError
+
+from .benchmark_case import BenchError
 
 # what a subcommand does, how its flags are added, how it runs
 Command = tuple[str, Callable[[argparse.ArgumentParser], None], Callable[[argparse.Namespace], int]]
@@ -45,7 +50,8 @@ def run_command(
         errors: Exceptions that a user can do something about.
 
     Returns:
-        The exit code, 2 where a scene is wrong or one of the errors is raised.
+        The exit code: 2 where a scene is wrong or one of the errors is raised, unless the error
+        has an exit code of its own.
     """
     try:
         return arguments.run(arguments)
@@ -53,7 +59,35 @@ def run_command(
         print("\n".join(error.lines), file=sys.stderr)
     except errors as error:
         print(f"{program}: {error}", file=sys.stderr)
-    return 2
+        return getattr(error, "exit_code", EXIT_USAGE)
+    return EXIT_USAGE
+
+
+def positive_number(text: str) -> int:
+    """Return a positive whole number such as 1e5. Raises ValueError."""
+    number = int(float(text))
+    if number < 1:
+        raise ValueError(text)
+    return number
+
+
+def positive_seconds(text: str) -> float:
+    """Return a positive, finite time [s]. Raises ValueError."""
+    seconds = float(text)
+    if not 0.0 < seconds < math.inf:
+        raise ValueError(text)
+    return seconds
+
+
+def check_file_can_be_written(path: Path) -> None:
+    """Raise BenchError before minutes of measurement if a file of results cannot be written."""
+    folder = path.absolute().parent
+    if path.is_dir():
+        raise BenchError(f"{path}: is a folder")
+    if not folder.is_dir():
+        raise BenchError(f"{path}: there is no folder {folder}")
+    if not os.access(folder, os.W_OK):
+        raise BenchError(f"{path}: may not be written")
 
 
 def print_progress(line: str) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 from vgmpi.runtime.atomic_write import replace_file
 
-from ..benchmark_case import BenchError
+from ..benchmark_case import BenchError, WorkerError
 from ..subcommands import print_progress
 from .board_cases import CASES
 from .board_plot import draw_board
@@ -43,13 +43,13 @@ def install_rivals(environment: Path) -> None:
     """Make the environment of the rivals.
 
     Raises:
-        BenchError: If a package cannot be installed.
+        WorkerError: If a package cannot be installed.
     """
     print_progress(f"installing {', '.join(RIVAL_PACKAGES)} in {environment}")
     venv.create(environment, with_pip=True)
     command = [str(environment / "bin" / "python"), "-m", "pip", "install", "-q", *RIVAL_PACKAGES]
     if subprocess.run(command).returncode:
-        raise BenchError(f"{environment}: the rivals cannot be installed: pip's lines say why")
+        raise WorkerError(f"{environment}: the rivals cannot be installed: pip's lines say why")
 
 
 def installed_solvers(environment: Path) -> dict[str, str]:
@@ -86,7 +86,10 @@ def make_run(interpreter: str, case: str, words: tuple[str, ...]) -> dict[str, A
 def run_board(args: argparse.Namespace) -> int:
     """Make the runs that are missing, and write table, CSV and picture."""
     environment = args.environment or args.output / "rivals"
-    args.output.mkdir(parents=True, exist_ok=True)
+    try:
+        args.output.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        raise BenchError(f"{args.output}: is a file, a folder is needed") from None
     if args.setup:
         install_rivals(environment)
     interpreters = installed_solvers(environment)
