@@ -121,9 +121,10 @@ def test_a_body_too_soft_to_stand_is_named(tmp_path, capsys, modulus, warned):
     [
         ("pinned = { box = [[0, 0, 0.4], [0.3, 0.3, 0.5]] }", 0),
         ("pinned = { box = [[0, 0, 0], [0.3, 0.3, 0.05]] }", 1),
+        ("rigid = true", 0),
     ],
 )
-def test_what_is_held_from_above_cannot_fold(tmp_path, capsys, key, warned):
+def test_what_is_held_from_above_or_rigid_cannot_fold(tmp_path, capsys, key, warned):
     _, err = told(tmp_path, capsys, scene=PILLAR + key, MODULUS="50e3")
     assert err.count("will fold") == warned
 

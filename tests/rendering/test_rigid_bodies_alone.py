@@ -39,7 +39,7 @@ def run(tmp_path_factory):
 
 def test_the_frames_hold_poses(run):
     frame = run.frame(2)
-    assert len(frame["x"]) == 0
+    assert len(frame["positions"]) == 0
     np.testing.assert_allclose(frame["poses"][0, :3, 3], [0.6, 0, 0], atol=1e-9)
 
 
