@@ -17,6 +17,7 @@ class PinnedPlan(NamedTuple):
 
     object: int  # row of the body
     groups: tuple[int, ...]  # of its particles, one for each of `region.shares`
+    joins: tuple[int, ...]  # groups of these particles after the release
     phase: int  # of the body
     region: Any  # preprocess/pinned_regions.py
 
@@ -38,11 +39,12 @@ def pinned_plans(
     for region in regions:
         phase = groups[group_of[region.object]].phase
         numbers = tuple(range(len(every), len(every) + len(region.shares)))
-        plans.append(PinnedPlan(region.object, numbers, phase, region))
+        pairs = [(group.phase, group.material) for group in groups]
+        joins = tuple(pairs.index((phase, share.material)) for share in region.shares)
+        plans.append(PinnedPlan(region.object, numbers, joins, phase, region))
         is_moving = region.is_free or region.course is not None
         cost = MOVING_PINNED_COST if is_moving else PINNED_COST
-        for share in region.shares:
-            free = next(g for g in groups if (g.phase, g.material) == (phase, share.material))
+        for free in (groups[number] for number in joins):
             name = f"{region.name} (pinned to {region.to})/{free.material}"
             every.append(free._replace(name=name, pinned=True, cost=cost))
     return tuple(plans), tuple(every)

@@ -134,6 +134,12 @@ class Plan:
         return self.feels or self.free_bodies or self.slip is not None
 
     @property
+    def has_releases(self) -> bool:
+        """True if bodies, pinned parts or walls are released at a time."""
+        parts = any(part.region.release_time < math.inf for part in self.pins)
+        return bool(self.driven) or parts or any(time is not None for time in self.opens)
+
+    @property
     def phases_of_bodies(self) -> int:
         """Number of phases, without those on the back side of thin walls, which come last."""
         return len(self.phases) if self.sides is None else self.sides.side.index(-1)

@@ -52,6 +52,7 @@ class PinnedRegion:
     dx: float  # [m] cell size
     course: Trajectory | None = None  # its motion, if it is prescribed
     body: None = None  # it is no free body itself
+    release_time: float = np.inf  # [s] at which it lets go
 
     @property
     def count(self) -> int:
@@ -149,7 +150,7 @@ def _region(scene, k, part, entry, chosen, x, vol0, colliders) -> PinnedRegion:
     return PinnedRegion(
         obj.name, k, part.to, holder, holder >= 0 and colliders[holder].body is not None, part,
         shares, np.array([own.min(0), own.max(0)]), masses, first, close,
-        dx, course,
+        dx, course, release_time=part.release_time or np.inf,
     )  # fmt: skip
 
 

@@ -1,7 +1,8 @@
 """Pinned parts of elastic bodies: regions whose particles something else holds."""
 
-from typing import Any
+from typing import Annotated, Any
 
+from vgmpi.runtime.config.schema import Quantity
 from vgmpi.runtime.suggestions import did_you_mean
 
 from .rigid_motion import Motion, validate_motion
@@ -23,6 +24,9 @@ class PinnedPart(Shape):
     of a body with rigid = true"""
     motion: Motion | None = None
     """for to = "world": prescribed motion of the part. Default: it is at rest"""
+    release_time: Annotated[float, Quantity("s", gt=0)] | None = None
+    """for to = "world": time at which the part lets go. It deforms from then on, and begins with
+    the velocity of its motion. Default: never"""
 
 
 def validate_pinned(raw: dict, scenery: bool) -> list[tuple[tuple, str]]:
@@ -50,9 +54,11 @@ def validate_pinned(raw: dict, scenery: bool) -> list[tuple[tuple, str]]:
         errors += validate_motion(table.get("motion"), (*path, "motion"))
         if "color" in table:
             errors.append(((*path, "color"), "is not for pinned parts"))
-        if "motion" in table and table.get("to", WORLD) != WORLD:
-            message = f'is only for to = "{WORLD}": the part moves with what holds it'
-            errors.append(((*path, "motion"), message))
+        if table.get("to", WORLD) == WORLD:
+            continue
+        reasons = {"motion": "the part moves with what holds it", "release_time": "it lets go"}
+        for key in set(reasons) & set(table):
+            errors.append(((*path, key), f'is only for to = "{WORLD}": {reasons[key]}'))
     if isinstance(tables, list) and not tables:
         errors.append((("pinned",), "has no part"))
     return errors

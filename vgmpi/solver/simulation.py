@@ -89,7 +89,7 @@ class Simulation:
         self.sides = wall_sides(plan, self.movers, self.groups, self.flow_accounting)
         self.sources = Sources(plan, ranks) if plan.sources else None
         self.sinks = Sinks(plan, tally) if tally is not None and plan.sinks else None
-        releases = plan.driven or any(time is not None for time in plan.opens)
+        releases = plan.has_releases
         self.releases = Releases(plan, self.flow_accounting, self.engine) if releases else None
         self.correction_origin_step = 0  # step of the last release: corrections are counted from it
         self.gravity = np.array(plan.gravity)

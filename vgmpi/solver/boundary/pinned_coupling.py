@@ -9,6 +9,8 @@ from vgmpi.parallel.block_lattice import BlockLattice
 from vgmpi.parallel.exchange_topology import GRADIENTS, ExchangeTopology
 from vgmpi.planning.plan import Plan
 
+from .release import TIME_TOLERANCE
+
 
 class PinnedParts(MovingColliders):
     """Pinned parts of the bodies of a scene; all ranks hold the same.
@@ -69,6 +71,12 @@ class PinnedParts(MovingColliders):
         """
         (k,) = (k for k, part in enumerate(self.pins) if group in part.groups)
         return k if self.is_moving[k] else -1
+
+    def _blocks_near(self, m: int, block: np.ndarray) -> np.ndarray:
+        """Return the rows of the blocks (n, 3) near part `m`; none after its release."""
+        if self.pins[m].region.release_time <= self.now * TIME_TOLERANCE:
+            return np.zeros(0, np.int64)
+        return super()._blocks_near(m, block)
 
     def take(self, blocks: np.ndarray) -> None:
         """Find which parts are close to the blocks (n, 3) of this rank."""

@@ -26,8 +26,9 @@ class Releases:
     def __init__(self, plan: Plan, tally: Tally | None, engine: Engine):
         """Sort the release layers by time."""
         self.plan, self.tally, self.engine = plan, tally, engine
+        bodies = [*plan.driven, *_released_parts(plan)]
         self.layers = sorted(
-            ((layer, body) for body in plan.driven for layer in body.layers),
+            ((layer, body) for body in bodies for layer in body.layers),
             key=lambda pair: pair[0].time,
         )
 
@@ -90,6 +91,9 @@ class Releases:
             return np.zeros(4)
         if body.course is not None:
             _launch(group, indices, body.course, layer.time)
+        elif group.plan.pinned:  # a load may have changed what nothing reads
+            group.put("v", indices, np.zeros((len(indices), 3)))
+            group.put("C", indices, np.zeros((len(indices), 9)))
         block = group.block[group.segment_of(indices)]
         xi, channels, ids = (
             group.xi[:, indices],
@@ -112,3 +116,18 @@ def _launch(group: ParticleGroup, indices: np.ndarray, course: Trajectory, time:
     x = group.positions_at(indices) - (np.array(course.about) + displacement)
     group.put("v", indices, v + np.cross(spin, x))
     group.put("C", indices, np.tile(spin_tensor(spin), (len(indices), 1)))
+
+
+def _released_parts(plan: Plan) -> list[PrescribedBodyPlan]:
+    """Return the pinned parts that let go at a time, by groups, as bodies that are released."""
+    parts = []
+    for part in plan.pins:
+        if (time := part.region.release_time) == np.inf:
+            continue
+        layers = (ReleaseLayer(time, -np.inf, np.inf),)
+        for group, joins in zip(part.groups, part.joins, strict=True):
+            body = PrescribedBodyPlan(
+                (part.object,), group, joins, part.region.course, (0.0,) * 3, 0.0, layers
+            )
+            parts.append(body)
+    return parts

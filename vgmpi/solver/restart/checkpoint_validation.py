@@ -225,6 +225,10 @@ def _rows(simulation, saved, g, first, block):
         wrong = usual != g
         for body in plan.driven:  # released particles are in the group that they join
             wrong &= ~(np.isin(owner, body.things) & (body.joins == g))
+        for part in plan.pins:
+            if part.region.release_time < np.inf:
+                own = [k for k, joins in zip(part.groups, part.joins, strict=True) if joins == g]
+                wrong &= ~np.isin(usual, own)
         if plan.sides is not None:  # those on the back side of a wall are in a group of their own
             wrong &= np.array(plan.sides.twin_group)[usual] != g
     if wrong.any():
