@@ -141,6 +141,7 @@ class Hdf5Writer:
         self.gather = uses_root_gather(ranks) or is_long or compresses
         self.memory = SparseMemoryFile()
         self.file = h5py.File(self.memory, "w") if ranks.rank == 0 else None
+        self._groups: dict[str, h5py.h5g.GroupID] = {}  # those that were opened
         self._rows: list[tuple[str, np.ndarray, np.ndarray]] = []  # name, local rows, all counts
         self._sums: dict[str, int] = {}  # CRC32 of each dataset, of `rows` from `seal` on; rank 0
 
@@ -155,12 +156,30 @@ class Hdf5Writer:
         if self.file is None:
             return
         self._sums[name] = 0
-        plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-        plan.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
-        plan.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
-        plan.set_obj_track_times(False)
-        self.file.create_dataset(name, (int(counts.sum()), *local.shape[1:]), local.dtype,
-                                 dcpl=plan)  # fmt: skip
+        properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        properties.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
+        properties.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
+        space = h5py.h5s.create_simple((int(counts.sum()), *local.shape[1:]))
+        self.dataset(name, local.dtype, space, properties)
+
+    def dataset(
+        self, name: str, dtype: np.dtype, space: h5py.h5s.SpaceID, properties: h5py.h5p.PropDCID
+    ) -> h5py.h5d.DatasetID:
+        """Create a dataset by the low-level interface, on rank 0; objects take twice as long.
+
+        Args:
+            name: Its path; groups are created if absent.
+            dtype: Type of an element.
+            space: Its shape.
+            properties: Its creation properties; times of writing are left out of the file.
+        """
+        assert self.file is not None
+        parent, _, last = name.rpartition("/")
+        if parent not in self._groups:
+            self._groups[parent] = self.file.require_group(parent or "/").id
+        properties.set_obj_track_times(False)  # so that the bytes do not depend on them
+        kind = h5py.h5t.py_create(np.dtype(dtype), logical=True)
+        return h5py.h5d.create(self._groups[parent], last.encode(), kind, space, properties)
 
     def _compressed_rows(self, name, local, counts):
         """Compress the rows of all ranks into the file in memory; the same bytes on any ranks."""
@@ -178,8 +197,12 @@ class Hdf5Writer:
     def whole(self, name: str, array: np.ndarray | None) -> None:
         """Add a small dataset with the values of rank 0."""
         if self.file is not None:
-            self._sums[name] = checkpoint_manifest.crc(np.ascontiguousarray(array))
-            self.file.create_dataset(name, data=array)
+            values = np.asarray(array, order="C")
+            self._sums[name] = checkpoint_manifest.crc(np.ascontiguousarray(values))
+            space = h5py.h5s.create_simple(values.shape)
+            properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+            made = self.dataset(name, values.dtype, space, properties)
+            made.write(h5py.h5s.ALL, h5py.h5s.ALL, values)
 
     def text(self, name: str, text: str) -> None:
         """Add a text of any length, from rank 0 (attributes end at 64 KiB)."""
