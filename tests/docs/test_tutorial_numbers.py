@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from vgmpi.apps.run.core_choice import choose_ranks
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.planning.cost.plan_report import format_plan
 from vgmpi.planning.cost.throughput import Throughput
@@ -25,12 +26,15 @@ def blocks(kind: str) -> list[str]:
 
 
 def plan_of_the_page(folder: Path) -> list[str]:
-    """The lines that `vgmpi plan` prints of the page's scene, with a time of no processor."""
+    """The lines that `vgmpi plan` prints of the page's scene on two cores, without its time."""
     path = folder / "scene.toml"
     path.write_text(next(text for text in blocks("toml") if "[domain]" in text), encoding="utf-8")
     scene = load(path)
     plan = plan_for(scene, prepare(scene, SerialCommunicator(), None))
-    return format_plan(scene, plan, 1, pace=Throughput(40.0, 42.0, "of none")).splitlines()
+    choice = choose_ranks(scene, 2)
+    why = f"{choice.ranks} of 2 cores: {choice.reason.removesuffix(' (plan)')}"
+    pace = Throughput(40.0, 42.0, "of none")
+    return format_plan(scene, plan, choice.ranks, pace=pace, choice=why).splitlines()
 
 
 def steps_of(lines: list[str]) -> int:
@@ -50,4 +54,4 @@ def test_the_plan_is_that_of_the_program(tmp_path):
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
-        print("\n".join(plan_of_the_page(Path(folder))[:6]))
+        print("\n".join(plan_of_the_page(Path(folder))[:7]))

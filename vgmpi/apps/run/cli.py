@@ -2,7 +2,6 @@
 
 import argparse
 import logging
-import math
 import os
 import sys
 import traceback
@@ -10,19 +9,16 @@ from pathlib import Path
 
 from vgmpi.io import checkpoint, file_layout, hdf5_writer, run_lock, run_reader
 from vgmpi.parallel.communicator import SerialCommunicator, init_communicator
-from vgmpi.planning.cost.plan_report import format_plan
-from vgmpi.planning.cost.run_estimate import pours_onto_bodies
 from vgmpi.planning.plan import FLOAT_TYPES
 from vgmpi.runtime import memory_budget
 from vgmpi.runtime.argument_parser import EXIT_USAGE
 from vgmpi.runtime.compile_lock import ON_EVERY_RANK
 from vgmpi.runtime.config.schema import SceneError
 from vgmpi.scene.loader import load
-from vgmpi.scene.resume_rules import with_accuracy_of_run
 from vgmpi.scene.scene import Scene
 from vgmpi.solver.stop_requests import EndedBySignalError, signals_heard
 
-from .flags import PILOT_SECONDS, POURING_PILOT_SECONDS, parse_arguments
+from .flags import parse_arguments
 
 log = logging.getLogger("vgmpi")
 
@@ -92,39 +88,21 @@ def _command(args: argparse.Namespace, ranks: SerialCommunicator) -> int:
         from .run_command import run_scene  # imports numba
 
         return run_scene(scene, folder, args, ranks)
-    from vgmpi.solver import initial_particles  # imported late, so that --check stays quick
-
     if args.prepare:
+        from vgmpi.solver import initial_particles  # imported late, so that --check stays quick
+
         with run_lock.run_lock(folder, ranks, into=args.overwrite):
             summary = initial_particles.prepare(scene, ranks, folder)
             initial_particles.write_initial_particles(scene, summary, ranks, folder)
         if ranks.rank == 0:
             print(f"{sum(summary.count):,} particles in {folder / file_layout.GAUSSIANS}")
         return 0
-    start_time = 0.0
-    if args.resume is not None:
-        from vgmpi.solver.run import resolve_checkpoint
+    from .plan_command import describe_plan
 
-        attrs = resolve_checkpoint(args.resume, folder, ranks)[1]
-        start_time, scene = attrs["time"], with_accuracy_of_run(scene, attrs["scene"])
-    summary = initial_particles.prepare(scene, ranks, None)
-    plan = initial_particles.plan_for(scene, summary)
-    if ranks.rank == 0:
-        from vgmpi.solver.compile_kernels import is_compiled
-        from vgmpi.solver.estimates import calibration
-        from vgmpi.solver.estimates.pilot_run import pilot_run, pilot_seconds
-
-        pace = calibration.host_throughput(scene.accuracy.precision, remeasure=args.calibrate)
-        longest = POURING_PILOT_SECONDS if pours_onto_bodies(scene, plan) else PILOT_SECONDS
-        is_short = start_time == 0 and pilot_seconds(scene, plan, pace) < longest
-        is_quick = is_short and is_compiled(plan)
-        is_wanted = args.pilot or is_quick
-        limit = math.inf if args.pilot else longest  # estimates may be wrong
-        pilot = pilot_run(scene, plan, summary, not args.pilot, limit) if is_wanted else None
-        print(format_plan(scene, plan, ranks.size, start_time, pace, pilot, args.verbose))
-        if args.engine == "cuda":
-            print(card_module(ranks).memory_report(plan, ranks.size))
-    refusal = memory_refusal(plan.bytes(), ranks)
+    text, needed = describe_plan(scene, folder, args, ranks)
+    if text:
+        print(text)
+    refusal = memory_refusal(needed, ranks)
     return refuse([refusal], ranks) if refusal and not args.force else 0
 
 
@@ -197,8 +175,8 @@ def _slurm_mismatch(ranks: SerialCommunicator) -> str:
 
 
 def _rank_mismatch(args: argparse.Namespace, ranks: SerialCommunicator) -> str:
-    """Return one line if there are other ranks than the flag says, else ""."""
-    if args.ranks in (None, ranks.size):
+    """Return one line if there are other ranks than the flag says, else ""; one plans for all."""
+    if args.ranks in (None, ranks.size) or (args.plan and ranks.size == 1):
         return ""
     return f"--ranks {args.ranks}: this program was started on {ranks.size} rank(s); leave it out"
 

@@ -26,7 +26,7 @@ MOTION_STEP_MARGIN = 1.05  # [-] of the steps without motions, above which a lin
 
 def format_plan(
     scene: Scene, plan: Plan, ranks: int, reached: float = 0.0, pace: Throughput | None = None,
-    rehearsal: PilotRun | None = None, details: bool = True,
+    rehearsal: PilotRun | None = None, details: bool = True, choice: str = "",
 ) -> str:  # fmt: skip
     """Return the text of a plan: time, memory, disk and steps, then warnings, advice and details.
 
@@ -38,6 +38,7 @@ def format_plan(
         pace: Throughput of the processors; if None, the time is said to be unknown.
         rehearsal: Result of a pilot run, for a run from the start.
         details: Whether phases, contacts, walls and the time per particle are told, too.
+        choice: Why it is so many ranks, "" where nobody asks.
     """
     assumed = ASSUMED_THROUGHPUT[scene.accuracy.precision]
     is_known = pace is not None and pace is not assumed
@@ -54,7 +55,8 @@ def format_plan(
         f"  memory      {total / 2**20:.0f} MiB in all,"
         f" {total / ranks / 2**20:.0f} MiB per rank on {ranks} rank(s)"
     )
-    lines = [title, answers[0], memory, file_size_line(scene, plan), *answers[1:]]
+    lines = [title, answers[0], *([f"  ranks       {choice}"] if choice else []), memory]
+    lines += [file_size_line(scene, plan), *answers[1:]]
     lines += [f"  warning     {line}" for line in warning_lines(scene, plan)]
     lines += [f"  note        {line}" for line in note_lines(scene, plan)]
     lines += _pressure(scene, plan) + advice
