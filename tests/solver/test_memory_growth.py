@@ -48,12 +48,20 @@ pressure = ["6 cm", "4 cm", "1 cm"]
 sampling_rate = 100_000
 """
 
+RIGID = """
+[[object]]
+name = "block"
+material = "rubber"
+rigid = true
+shape = { box = [["7 cm", "3 cm", "4 cm"], ["9 cm", "5 cm", "6 cm"]] }
+"""
+
 
 class Enough(Exception):
     """The steps have been made."""
 
 
-@pytest.mark.parametrize("more", ["", PROBES], ids=["plain", "probes"])
+@pytest.mark.parametrize("more", ["", PROBES, RIGID], ids=["plain", "probes", "rigid"])
 def test_memory_does_not_grow_with_steps(tmp_path, monkeypatch, more):
     """Rows of probes are in their tables, so that a run of millions of steps does not hold them."""
     sizes = []
