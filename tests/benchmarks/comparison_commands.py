@@ -63,7 +63,7 @@ def _cores(parser: argparse.ArgumentParser) -> None:
     say = parser.add_argument
     say("--scenes", nargs="+", default=list(SCENES), choices=SCENES, metavar="NAME")
     say("--rounds", type=int, default=5, help="default 5")
-    say("--free", type=float, default=1.8, help="cores to wait for before a part, default 1.8")
+    say("--free", type=float, default=1.8, help="cores to wait for before a start, default 1.8")
     say("--patience", type=float, default=120.0, metavar="S", help="longest wait, default 120 s")
     say("--start", action="store_true", help="what a start on ranks costs instead")
 
@@ -71,9 +71,27 @@ def _cores(parser: argparse.ArgumentParser) -> None:
 def _run_cores(args: argparse.Namespace) -> int:
     from tests.benchmarks import core_use
 
-    how = args.rounds, args.free, args.patience, print_progress
-    rows = core_use.measure_start(*how) if args.start else core_use.compare_uses(args.scenes, *how)
+    rows = core_use.compare_uses(args.scenes, args.rounds, print_progress)
+    if args.start:
+        rows = core_use.measure_start(args.rounds, args.free, args.patience, print_progress)
     for line in rows:
+        print(line, flush=True)
+    return 0
+
+
+def _frames(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("tree", type=Path, nargs="?", help="another checkout, in turns")
+    say("--particles", type=float, default=121525, metavar="N", help="default: of runs/splash")
+    say("--frames", nargs="+", type=int, default=[50, 250], metavar="N", help="default 50 250")
+    say("--rounds", type=int, default=5, help="default 5")
+
+
+def _run_frames(args: argparse.Namespace) -> int:
+    from tests.benchmarks import frame_cost
+
+    how = int(args.particles), args.frames, args.rounds, print_progress
+    for line in frame_cost.compare_frames(args.tree, *how):
         print(line, flush=True)
     return 0
 
@@ -82,5 +100,6 @@ COMPARISON_COMMANDS = {
     "against": ("beside another checkout", _against, _run_against),
     "board-steps": ("runs of the board with a shorter step", _board_steps, _run_board_steps),
     "cores": ("ranks beside threads, and what a start on ranks costs", _cores, _run_cores),
+    "frames": ("what writing a frame costs", _frames, _run_frames),
     "scenes": ("scenes of runs/ beside another checkout", _scenes, _run_scenes),
 }

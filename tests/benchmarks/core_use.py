@@ -1,11 +1,12 @@
 """One rank, ranks and threads on the same scenes in turns, and what starting ranks costs.
 
-A part of a scene is played by processes of its own. Times of a step are those of the program's own
-table, without start and compilation; a start is a run of one step. Before each part the benchmark
-waits until so many cores are free, and tells how many were: ranks that share a core with other
-programs wait for each other.
+Parts of scenes are played by processes of their own. Of their steps the processor time on the
+longest path counts (critical_path.py), so that other programs on the machine change little. A start
+is a run of one step, with all that its processes take: it waits until so many cores are free, and
+tells how many were.
 """
 
+import json
 import os
 import re
 import subprocess
@@ -24,27 +25,20 @@ from vgmpi.runtime.processor_cores import FreeCores
 from vgmpi.solver.run import DONE, STOPPED
 
 SCENES = {  # overrides, and the steps of a part
-    "splash": ((), 120),
-    "dam_break": ((), 200),
-    "castle_falls": (("domain.cell='2 cm'",), 200),
-    "ball": ((), 300),
+    "splash": ((), 60),
+    "dam_break": ((), 150),
+    "castle_falls": (("domain.cell='2 cm'",), 100),
+    "ball": ((), 150),
 }
-USES = {
-    "1 rank": ("--ranks", "1"),
-    "2 ranks": ("--ranks", "2"),
-    "2 threads": ("--ranks", "1", "--threads", "2"),
-}
+USES = {"1 rank": (1, 1), "2 ranks": (2, 1), "2 threads": (1, 2)}  # ranks, threads
 README_SCENE = re.compile(r"```toml\n(.*?)```", re.DOTALL)
-STEPS_LINE = re.compile(r"(\d+) steps of ([\d,]+) particles in ([\d.]+) s")
 
 
-class Part(NamedTuple):
-    """A part of a scene that was played."""
+class Start(NamedTuple):
+    """A run of one step."""
 
-    step: float  # [s] wall time of a step, by the table of the run
     wall: float  # [s] of the whole process
     processor: float  # [s] processor time of the process and its ranks
-    free: float  # cores that other programs left before it
 
 
 def scene_file(name: str, folder: Path) -> Path:
@@ -74,80 +68,80 @@ def wait_for_cores(cores: float, patience: float) -> float:
         time.sleep(2.0)
 
 
-def play_part(
-    scene: Path, use: tuple[str, ...], overrides: tuple[str, ...], steps: int, free: float
-) -> Part:
-    """Play the first steps of a scene in a process of its own.
+def start_run(scene: Path, ranks: int) -> Start:
+    """Play one step of a scene in a process of its own, as a user starts it.
 
     Args:
         scene: Scene file.
-        use: Flags of the command on ranks and threads.
-        overrides: Values of `--set`.
-        steps: Number of steps.
-        free: Cores that other programs leave.
+        ranks: Number of ranks.
 
     Raises:
-        BenchError: If the run ends otherwise than by its limit.
+        BenchError: If the run fails.
     """
-    flags = [word for override in overrides for word in ("--set", override)]
     environment = {**os.environ, **OPEN_MPI, "PYTHONPATH": str(ROOT)}
     with tempfile.TemporaryDirectory(prefix="vgmpi-cores-") as out:
-        command = [sys.executable, "-m", "vgmpi", scene, *use, *flags, "-o", out, "--overwrite"]
+        command = [sys.executable, "-m", "vgmpi", scene, "--ranks", str(ranks), "-o", out]
         before, began = os.times(), time.monotonic()
         job = subprocess.run(
-            [*command, "--stop-after", f"{steps} steps"],
+            [*command, "--overwrite", "--stop-after", "1 steps"],
             env=environment, capture_output=True, text=True, check=False,
         )  # fmt: skip
         wall, after = time.monotonic() - began, os.times()
-    line = STEPS_LINE.search(job.stdout)
-    if job.returncode not in (DONE, STOPPED) or line is None:
+    if job.returncode not in (DONE, STOPPED):
         raise BenchError(f"{scene}: {(job.stderr.splitlines() or ['no output'])[-1]}")
-    processor = sum(after[2:4]) - sum(before[2:4])
-    return Part(float(line[3]) / int(line[1]), wall, processor, free)
+    return Start(wall, sum(after[2:4]) - sum(before[2:4]))
 
 
-def compare_uses(
-    names: list[str], rounds: int, free: float, patience: float, say: Callable
-) -> Iterator[str]:
+def step_seconds(scene: Path, overrides: tuple[str, ...], steps: int, use: str) -> float:
+    """Return the processor time on the longest path of a step [s] (critical_path.py).
+
+    Args:
+        scene: Scene file.
+        overrides: Values of `--set`.
+        steps: Number of steps.
+        use: Name of the use of the cores.
+
+    Raises:
+        BenchError: If the run fails.
+    """
+    ranks, threads = USES[use]
+    program = [sys.executable, "-m", "tests.benchmarks.critical_path"]
+    program = ["mpirun", "-n", str(ranks), *program] if ranks > 1 else program
+    environment = {**os.environ, **OPEN_MPI, "PYTHONPATH": str(ROOT)}
+    job = subprocess.run(
+        [*program, scene, str(steps), str(threads), *overrides], env=environment, cwd=ROOT,
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    if job.returncode:
+        raise BenchError(f"{scene}: {(job.stderr.splitlines() or ['no output'])[-1]}")
+    return float(json.loads(job.stdout.splitlines()[-1])["seconds"])
+
+
+def compare_uses(names: list[str], rounds: int, say: Callable) -> Iterator[str]:
     """Yield a row per scene: times of a step, and ratios of neighbors in time.
 
     Args:
         names: Scenes.
         rounds: Number of rounds; one more comes before them and compiles.
-        free: Cores to wait for before each part.
-        patience: Longest wait [s].
         say: Called with a line of progress.
     """
-    yield "| scene | 1 rank [ms/step] | 2 ranks: times as fast | 2 threads | free cores, least |"
-    yield "|---|---|---|---|---|"
+    yield "| scene | 1 rank [ms per step] | 2 ranks: times as fast | 2 threads: times as fast |"
+    yield "|---|---|---|---|"
     with tempfile.TemporaryDirectory(prefix="vgmpi-cores-") as folder:
         for name in names:
             scene, (overrides, steps) = scene_file(name, Path(folder)), SCENES[name]
-            parts: dict[str, list[Part]] = {use: [] for use in USES}
+            found: dict[str, list[float]] = {use: [] for use in USES}
             for k in range(rounds + 1):
                 for use in list(USES) if k % 2 else list(USES)[::-1]:
-                    cores = wait_for_cores(free, patience) if k else 0.0
-                    part = play_part(scene, USES[use], overrides, steps if k else 1, cores)
-                    say(f"{name}, round {k}, {use}: {1e3 * part.step:.1f} ms a step, {cores:.1f}"
-                        " cores free")  # fmt: skip
-                    parts[use] += [part] if k else []
-            yield format_row(name, parts)
-
-
-def format_row(name: str, parts: dict[str, list[Part]]) -> str:
-    """Return the row of a scene.
-
-    Args:
-        name: The scene.
-        parts: Parts that were played, by use of the cores.
-    """
-    one = np.array([part.step for part in parts["1 rank"]])
-    words = [name, f"{1e3 * np.median(one):.1f}"]
-    for use in ("2 ranks", "2 threads"):
-        ratios = one / np.array([part.step for part in parts[use]])
-        words.append(f"{np.median(ratios):.2f} ({ratios.min():.2f} to {ratios.max():.2f})")
-    words.append(f"{min(part.free for rows in parts.values() for part in rows):.1f}")
-    return "| " + " | ".join(words) + " |"
+                    seconds = step_seconds(scene, overrides, steps if k else 1, use)
+                    found[use] += [seconds] if k else []
+                    say(f"{name}, round {k}, {use}: {1e3 * seconds:.2f} ms")
+            one = np.array(found["1 rank"])
+            words = [name, f"{1e3 * np.median(one):.2f}"]
+            for use in ("2 ranks", "2 threads"):
+                ratios = one / np.array(found[use])
+                words.append(f"{np.median(ratios):.2f} ({ratios.min():.2f} to {ratios.max():.2f})")
+            yield "| " + " | ".join(words) + " |"
 
 
 def measure_start(rounds: int, free: float, patience: float, say: Callable) -> Iterator[str]:
@@ -159,20 +153,22 @@ def measure_start(rounds: int, free: float, patience: float, say: Callable) -> I
         patience: Longest wait [s].
         say: Called with a line of progress.
     """
-    costs, walls = [], []
+    costs, walls, paths = [], [], []
     with tempfile.TemporaryDirectory(prefix="vgmpi-cores-") as folder:
         scene = scene_file("ball", Path(folder))
         for k in range(rounds + 1):
             pair = {}
             for use in ("1 rank", "2 ranks") if k % 2 else ("2 ranks", "1 rank"):
                 cores = wait_for_cores(free, patience) if k else 0.0
-                pair[use] = part = play_part(scene, USES[use], (), 1, cores)
+                pair[use] = part = start_run(scene, USES[use][0])
                 say(f"round {k}, {use}: wall {part.wall:.2f} s, processor {part.processor:.2f} s,"
                     f" {cores:.1f} cores free")  # fmt: skip
             if k:
                 costs.append(pair["2 ranks"].processor - pair["1 rank"].processor)
+                paths.append(costs[-1] - pair["1 rank"].processor)
                 walls.append(pair["2 ranks"].wall - pair["1 rank"].wall)
     yield "a run of one step on two ranks, over the same on one rank [s]:"
-    for what, values in (("processor time", costs), ("wall time", walls)):
+    rows = ("processor time", costs), ("less that of the second rank", paths), ("wall time", walls)
+    for what, values in rows:
         least, most = min(values), max(values)
-        yield f"  {what:14s} median {np.median(values):.2f} ({least:.2f} to {most:.2f})"
+        yield f"  {what:28s} median {np.median(values):.2f} ({least:.2f} to {most:.2f})"
