@@ -288,10 +288,11 @@ def _run_test_times(args: argparse.Namespace) -> int:
 
 
 def _predictions(parser) -> None:
-    from tests.benchmarks.predictions import ADJUSTED, HELD_OUT
+    from tests.benchmarks.predictions import SCENES
 
-    names = [*ADJUSTED, *HELD_OUT]
-    parser.add_argument("scenes", nargs="*", default=names, help="folders of runs/, or files")
+    parser.add_argument(
+        "scenes", nargs="*", default=list(SCENES), help="folders of runs/, or files"
+    )
 
 
 def _run_predictions(args) -> int:

@@ -8,6 +8,7 @@ import dataclasses
 import logging
 import math
 import re
+import time
 
 import numpy as np
 import pytest
@@ -17,14 +18,15 @@ from tests.support.small_scenes import write
 from vgmpi.apps.run import cli
 from vgmpi.io.run_reader import RunReader
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.planning.cost import pilot_result
+from vgmpi.planning.cost import pilot_result, step_overhead
 from vgmpi.planning.cost.feature_costs import step_ns
-from vgmpi.planning.cost.pilot_result import PilotRun, Snapshot
+from vgmpi.planning.cost.pilot_result import CoarseStep, PilotRun, Snapshot
 from vgmpi.planning.cost.plan_report import format_plan
 from vgmpi.planning.cost.run_estimate import FRAME_SECONDS
 from vgmpi.planning.cost.throughput import Throughput
 from vgmpi.solver.diagnostics import progress
-from vgmpi.solver.estimates.pilot_run import _snapshot, pilot_run
+from vgmpi.solver.estimates import pilot_run as pilot_module
+from vgmpi.solver.estimates.pilot_run import _coarse_step, _snapshot, pilot_run
 from vgmpi.solver.initial_particles import plan_for, prepare
 from vgmpi.solver.run import Options, prepared_run
 
@@ -55,7 +57,7 @@ material = "rubber"
 shape = { box = [[0.4, 0.032, 0], [0.48, 0.128, 0.08]] }
 """
 BLOCK = "box = [[0.4, 0.032, 0], [0.48, 0.128, 0.08]]"
-CRUMB = "sphere = { center = [0.4, 0.08, 0.1], radius = 0.01 }"
+CRUMB = "sphere = { center = [0.405, 0.085, 0.095], radius = 0.007 }"
 TAP = """
 [[inlet]]
 name = "tap"
@@ -78,7 +80,9 @@ def seen(folder, text):
             nonlocal spent, done
             simulation = run.simulation
             if run.frame:
-                now = _snapshot(scene, plan, known, simulation, simulation.step - done)
+                now = _snapshot(
+                    scene, plan, known, simulation, simulation.step - done, CoarseStep()
+                )
                 as_now = dataclasses.replace(plan, count=now.number, surroundings=now.around)
                 spent += now.steps * step_ns(scene, as_now, PACE)
                 done = simulation.step
@@ -108,7 +112,8 @@ def test_steps_and_their_cost_are_those_of_the_run(tmp_path, text):
     said = format_plan(scene, plan, 1, pace=PACE, rehearsal=found)
     assert f"about {math.ceil(found.steps):,} for" in said
     seconds = float(re.search(r"time  +about (\d+) s on", said)[1])
-    assert seconds == pytest.approx(1e-9 * told + 1e-4 * found.steps + FRAME_SECONDS * 6, abs=1)
+    besides = found.mean_overhead(PACE) * found.steps + FRAME_SECONDS * 6
+    assert seconds == pytest.approx(1e-9 * told + besides, abs=1)
 
 
 def test_what_comes_counts_from_when_it_is_there(tmp_path):
@@ -148,6 +153,48 @@ def test_it_is_given_up_where_it_takes_too_long(tmp_path, caplog):
     with caplog.at_level("WARNING", "vgmpi"):
         assert pilot_run(scene, plan_for(scene, known), known, max_seconds=1e-6) is None
     assert caplog.text.count("is possible: it takes more than 1e-06 s") == 1
+
+
+def test_what_it_reaches_in_its_time_is_enough(tmp_path, monkeypatch):
+    """Given up after five of its ten frames, it tells steps and particles of all of the run."""
+    text = FALLS.replace("frames = 6", "frames = 11") + TAP
+    scene = vgmpi.load(write(tmp_path, text))
+    known = prepare(scene, SerialCommunicator(), None)
+    plan = plan_for(scene, known)
+    whole = pilot_run(scene, plan, known)
+    frames, clock = [], time.process_time
+
+    def later(scene, *rest):
+        frames.append(1)
+        return _coarse_step(scene, *rest)
+
+    monkeypatch.setattr(pilot_module, "_coarse_step", later)
+    monkeypatch.setattr(time, "process_time", lambda: clock() + 100.0 * (len(frames) >= 5))
+    part = pilot_run(scene, plan, known, max_seconds=50.0)
+    assert whole.reached == pytest.approx(0.5) and part.reached == pytest.approx(0.25)
+    assert len(part.moments) == 6
+    assert part.moments[-1].time == pytest.approx(0.5)
+    assert part.steps == pytest.approx(whole.steps, rel=0.1)
+    assert part.moments[-1].number[2] > 1.2 * part.moments[-2].number[2]  # the inlet goes on
+    said = format_plan(scene, plan, 1, pace=PACE, rehearsal=part)
+    assert "; the pilot run was ended at 0.25 of 0.5 s: what meets" in said
+    assert "ended at" not in format_plan(scene, plan, 1, pace=PACE, rehearsal=whole)
+
+
+def test_what_a_step_takes_besides_particles_is_measured(tmp_path):
+    """A pilot run with a dearer step tells a dearer run; it cannot be less than nothing."""
+    step = CoarseStep(2e-3, 1000.0, 500.0)
+    assert step.overhead(PACE) == pytest.approx(2e-3 - 1e-9 * (1000 * 70 + 500 * 80))
+    assert step._replace(seconds=0.0).overhead(PACE) == step_overhead.STEP_SECONDS
+
+
+def test_it_has_room_where_no_coarser_cells_fit(tmp_path):
+    """41 by 11 by 23 cells have no coarser ones that divide them all."""
+    text = FALLS.replace("[0.64, 0.16, 0.32]", "[0.656, 0.176, 0.368]")
+    scene = vgmpi.load(write(tmp_path, text.replace("end = 0.5", "end = 0.1")))
+    known = prepare(scene, SerialCommunicator(), None)
+    found = pilot_run(scene, plan_for(scene, known), known)
+    assert 2.0 <= found.cell / scene.domain.cell <= 2.75
 
 
 def test_it_is_silent_about_the_coarser_cells(tmp_path, caplog):

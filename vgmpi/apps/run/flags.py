@@ -6,8 +6,6 @@ from pathlib import Path
 
 from vgmpi.runtime.argument_parser import ArgumentParser
 
-# [s] --plan makes a pilot run that is shorter, also where inlets pour onto bodies
-PILOT_SECONDS, POURING_PILOT_SECONDS = 5.0, 20.0
 EXIT_CODES = """exit codes: 0 done, 1 unexpected error or a full disk, 2 something in the scene or
 the flags is wrong or the output is read-only, 3 the simulation blew up (what was written before
 is whole), 75 stopped with a checkpoint (also by the first Ctrl-C once steps are made), 130
@@ -40,8 +38,7 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="simulate the scene in coarser cells first (about a tenth of the work), so that the"
         " time estimate of --plan or of a run includes contact and motion; --plan does it by itself"
-        f" where it takes less than {PILOT_SECONDS:g} s, or {POURING_PILOT_SECONDS:g} s where"
-        " inlets pour onto bodies",
+        " for up to 20 s of processor time",
     )
     parser.add_argument(  # name of earlier releases
         "--rehearse", dest="pilot", action="store_true", help=argparse.SUPPRESS

@@ -1,25 +1,21 @@
 """Plan of a scene without a run: its time on as many ranks as a run takes by itself."""
 
 import argparse
-import math
 from pathlib import Path
 
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.launch import launched_by
 from vgmpi.planning.cost.plan_report import format_plan
-from vgmpi.planning.cost.run_estimate import pours_onto_bodies
 from vgmpi.runtime.processor_cores import physical_cores
 from vgmpi.scene.resume_rules import with_accuracy_of_run
 from vgmpi.scene.scene import Scene
 from vgmpi.solver import initial_particles
-from vgmpi.solver.compile_kernels import is_compiled
 from vgmpi.solver.estimates import calibration
-from vgmpi.solver.estimates.pilot_run import pilot_run, pilot_seconds
+from vgmpi.solver.estimates.pilot_run import default_pilot_run, pilot_run
 from vgmpi.solver.run import resolve_checkpoint
 
 from .cli import card_module
 from .core_choice import choose_ranks
-from .flags import PILOT_SECONDS, POURING_PILOT_SECONDS
 from .rank_supervisor import find_mpirun
 
 
@@ -46,12 +42,11 @@ def describe_plan(
     if ranks.rank != 0:
         return "", plan.bytes()
     pace = calibration.host_throughput(scene.accuracy.precision, remeasure=args.calibrate)
-    longest = POURING_PILOT_SECONDS if pours_onto_bodies(scene, plan) else PILOT_SECONDS
-    is_short = start_time == 0 and pilot_seconds(scene, plan, pace) < longest
-    is_quick = is_short and is_compiled(plan)
-    is_wanted = args.pilot or is_quick
-    limit = math.inf if args.pilot else longest  # estimates may be wrong
-    pilot = pilot_run(scene, plan, summary, not args.pilot, limit) if is_wanted else None
+    pilot = None
+    if args.pilot:
+        pilot = pilot_run(scene, plan, summary)
+    elif start_time == 0:
+        pilot = default_pilot_run(scene, plan, summary, pace)
     count, reason = planned_ranks(scene, args, ranks)
     lines = [format_plan(scene, plan, count, start_time, pace, pilot, args.verbose, reason)]
     if args.engine == "cuda":

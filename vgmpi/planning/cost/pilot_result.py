@@ -1,5 +1,6 @@
 """Result of a pilot run in coarser cells: where particles go, for the scene's own cells."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
@@ -11,12 +12,24 @@ from vgmpi.planning.proximity import Proximity
 from vgmpi.scene.scene import Scene
 
 from .feature_costs import step_ns
+from .step_overhead import STEP_SECONDS
 from .throughput import Throughput
 
 TimeFunction = Callable[[float], float]
-STEP_SECONDS = (
-    1e-4  # [s] overhead of a step besides its kernels (`python -m tests.benchmarks overhead`)
-)
+
+
+class CoarseStep(NamedTuple):
+    """Mean step of a pilot run since the snapshot before: what it took, and what it has to do."""
+
+    seconds: float = 0.0  # [s] processor time
+    # particles, by the costs of the parts of a step in units of a fluid or elastic particle's
+    fluid: float = 0.0
+    elastic: float = 0.0
+
+    def overhead(self, pace: Throughput) -> float:
+        """Return the processor time [s] besides the particles, which finer cells have as well."""
+        particles = 1e-9 * (self.fluid * pace.fluid + self.elastic * pace.elastic)
+        return max(STEP_SECONDS, self.seconds - particles)
 
 
 class Snapshot(NamedTuple):
@@ -26,6 +39,7 @@ class Snapshot(NamedTuple):
     steps: float  # since the moment before, converted to the scene's own cells
     number: tuple[int, ...]  # particles of each object and inlet, converted to the scene's own
     around: tuple[Proximity, ...]  # proximity of each, converted to the scene's own cells
+    coarse: CoarseStep = CoarseStep()
 
 
 class PilotRun(NamedTuple):
@@ -34,6 +48,8 @@ class PilotRun(NamedTuple):
     cell: float
     wall_seconds: float  # [s] wall time of the pilot run
     moments: tuple[Snapshot, ...]  # in order of time
+    reached: float = math.inf  # [s] time of the scene up to which it was played; after it, the
+    # last moment says what is expected
 
     @property
     def steps(self) -> float:
@@ -53,6 +69,24 @@ class PilotRun(NamedTuple):
             for m in self.moments
         ])  # fmt: skip
 
+    def overhead(self, pace: Throughput) -> np.ndarray:
+        """Return the processor time of a step besides its particles, shape (moments,) [s].
+
+        In the first interval code is loaded: the second stands for it.
+
+        Args:
+            pace: Throughput of the processor.
+        """
+        each = np.array([m.coarse.overhead(pace) for m in self.moments])
+        if len(each) > 1:
+            each[0] = min(each[0], each[1])
+        return each
+
+    def mean_overhead(self, pace: Throughput) -> float:
+        """Return the mean over all steps of `overhead` [s]."""
+        steps = np.array([m.steps for m in self.moments])
+        return float((self.overhead(pace) * steps).sum() / self.steps)
+
     def ahead(
         self, scene: Scene, plan: Plan, pace: Throughput
     ) -> tuple[TimeFunction, TimeFunction]:
@@ -65,7 +99,7 @@ class PilotRun(NamedTuple):
         """
         times = np.array([m.time for m in self.moments])
         steps = np.array([max(m.steps, 1e-9) for m in self.moments])
-        each = self.work(scene, plan, pace) / steps + 1e9 * STEP_SECONDS
+        each = self.work(scene, plan, pace) / steps + 1e9 * self.overhead(pace)
         spans = np.diff(times, prepend=0.0)
         often, middle = steps / spans, times - 0.5 * spans
         return (

@@ -63,18 +63,29 @@ def format_plan(
     return "\n".join(lines + (plan_details(scene, plan, pace) if details else []))
 
 
-def _unknown_contacts(scene: Scene, plan: Plan) -> str:
-    """Return a clause on the inlets that pour onto bodies or colliders, or an empty text.
+def _unknown_part(scene: Scene, plan: Plan, pilot: PilotRun | None) -> str:
+    """Return a clause on what the time does not count, or an empty text.
 
-    Without a pilot run their particles have the price of a liquid that touches nothing.
+    Without a pilot run particles have the price of their places at the start, and those of inlets
+    that of a liquid that touches nothing.
     """
-    if not pours_onto_bodies(scene, plan):
-        return ""
-    names = ", ".join(escape_control_characters(source.name) for source in plan.sources)
-    return (
-        f"; what pours from {names} costs more where it meets bodies and spreads: --pilot finds"
-        " out how much"
-    )
+    if pilot is not None:
+        end = float(plan.times[-1])
+        if pilot.reached >= end:
+            return ""
+        return (
+            f"; the pilot run was ended at {pilot.reached:.3g} of {end:g} s: what meets, spreads or"
+            " breaks later may cost more or less"
+        )
+    if pours_onto_bodies(scene, plan):
+        names = ", ".join(escape_control_characters(source.name) for source in plan.sources)
+        return (
+            f"; what pours from {names} costs more where it meets bodies and spreads: --pilot finds"
+            " out how much"
+        )
+    if len(plan.phases) > 1 or any(phase.is_liquid for phase in plan.phases):
+        return "; what meets, spreads or breaks later may cost more: --pilot finds out how much"
+    return ""
 
 
 def _pressure(scene: Scene, plan: Plan) -> list[str]:
@@ -133,8 +144,9 @@ def _steps(
         less, all_of_it = (format_duration(f * few * each + written) for f in (factor, 1.0))
         return f"about {less} instead of {all_of_it}"
 
-    unknown = _unknown_contacts(scene, plan) if rehearsal is None else ""
-    duration_text = duration_text.replace("about", "at least") if unknown else duration_text
+    if rehearsal is None and pours_onto_bodies(scene, plan):
+        duration_text = duration_text.replace("about", "at least")
+    unknown = _unknown_part(scene, plan, rehearsal)
     duration_line = f"{duration_text} on {ranks} rank(s), one core each, {pace.of}{unknown}"
     if not is_known:
         duration_line = "unknown: this processor is not measured yet (--calibrate, a minute)"

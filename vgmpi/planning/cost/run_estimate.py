@@ -9,13 +9,15 @@ from vgmpi.planning.plan import Plan, time_step_bounds
 from vgmpi.scene.scene import Scene
 
 from .feature_costs import PARTICLES_PER_BLOCK, step_ns
-from .pilot_result import STEP_SECONDS, PilotRun
+from .pilot_result import PilotRun
+from .step_overhead import step_overhead
 from .throughput import Throughput
 
 # [s] time to write a frame, and a particle in it (a run's `--profile`: write)
 FRAME_SECONDS, SECONDS_PER_WRITTEN_PARTICLE = 0.025, 1e-7
 # [-] overhead of ranks, fitted on two ranks to scenes of runs/
 HALO_OVERHEAD = 2.0
+PILOT_SECONDS = 20.0  # [s] largest processor time of a pilot run that is not asked for
 
 
 def predicted_seconds(
@@ -49,9 +51,11 @@ def step_seconds(
     """
     if pilot is None:
         ns = step_ns(scene, replace(plan, count=mean_counts(plan)), pace)
+        overhead = step_overhead(scene, plan)
     else:
         ns = pilot.work(scene, plan, pace).sum() / pilot.steps
-    return 1e-9 * ns / ranks * rank_overhead(plan, ranks) + STEP_SECONDS
+        overhead = pilot.mean_overhead(pace)
+    return 1e-9 * ns / ranks * rank_overhead(plan, ranks) + overhead
 
 
 def pours_onto_bodies(scene: Scene, plan: Plan) -> bool:

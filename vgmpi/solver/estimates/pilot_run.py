@@ -9,18 +9,23 @@ import logging
 import math
 import time
 from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from vgmpi.parallel.block_lattice import BLOCK_EDGE
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.planning.cost.feature_costs import step_ns
-from vgmpi.planning.cost.pilot_result import STEP_SECONDS, PilotRun, Snapshot
+from vgmpi.planning.cost.pilot_result import CoarseStep, PilotRun, Snapshot
+from vgmpi.planning.cost.run_estimate import PILOT_SECONDS
+from vgmpi.planning.cost.step_overhead import step_overhead
 from vgmpi.planning.cost.throughput import Throughput
 from vgmpi.planning.plan import Plan, time_step_bounds
 from vgmpi.runtime.config.schema import SceneError
 from vgmpi.scene.loader import load_again
 from vgmpi.scene.scene import Scene
+from vgmpi.solver.compile_kernels import is_compiled
 from vgmpi.solver.initial_particles import ParticleSummary
 from vgmpi.solver.run import Options, Runner, prepared_run
 from vgmpi.solver.simulation import BlowUp, Simulation
@@ -30,12 +35,23 @@ from .measure_proximity import blocks_at, measure_proximity
 log = logging.getLogger("vgmpi")
 
 COARSENING_FACTORS = (2.5, 2.0, 1.5)  # [scene cells] cell sizes; the first that works is taken
+PADDED_FACTORS = 2.75, 2.0  # [scene cells] largest and smallest, where none of these works
+OPEN_CELLS = 2  # [cells] by which open ends of such grids are farther away
 MIN_CELLS = 4  # [cells] least number along the shortest edge
 # [particle edges] distance from a particle's center to its finer ones, in blocks that are less than
 # half full farther: coarse particles scatter over fewer blocks than fine ones do
 HALF_WIDTH, SCATTERED_HALF_WIDTH, SCATTERED_FILL = 0.4, 1.5, 0.5
 CORNERS = np.stack(np.meshgrid(*((-1.0, 1.0),) * 3, indexing="ij"), -1).reshape(1, 8, 3)
+MAX_PILOT_SHARE = 2.0  # [-] of its time, above which a pilot run that nobody asked for is not begun
 SNAPSHOTS = 24  # largest number of snapshots
+ROUNDING = 1e-9  # [cells] by which an edge may differ from whole cells
+
+
+class Grid(NamedTuple):
+    """Grid of a pilot run."""
+
+    cell: float  # [m]
+    size: tuple[float, ...]  # [m] edges of the domain
 
 
 class PilotTimeout(RuntimeError):
@@ -59,9 +75,9 @@ def pilot_run(
         The result, or None, with a logged reason, if no coarser cells can play the scene.
     """
     reason, level = "it has too few cells", logging.DEBUG if quiet else logging.INFO
-    for count in _cell_counts(scene):
+    for grid in _grids(scene):
         try:
-            coarse = _coarsened(scene, count)  # what fits the scene's cells may not fit these
+            coarse = _coarsened(scene, grid)  # what fits the scene's cells may not fit these
             log.log(level, "pilot run in cells of %.4g m", coarse.domain.cell)
             with _without_warnings():
                 return _play(scene, plan, summary, coarse, max_seconds)
@@ -91,32 +107,71 @@ def _without_warnings() -> Iterator[None]:
         log.setLevel(level)
 
 
+def default_pilot_run(
+    scene: Scene, plan: Plan, summary: ParticleSummary, pace: Throughput
+) -> PilotRun | None:
+    """Make the pilot run of a plan that nobody asked for, if it is short enough, without a word.
+
+    It has `PILOT_SECONDS`; what it reaches in them is enough. Kernels must be compiled already.
+
+    Args:
+        scene: The scene.
+        plan: Its plan.
+        summary: Summary of its particles.
+        pace: Throughput of this processor.
+    """
+    if pilot_seconds(scene, plan, pace) > MAX_PILOT_SHARE * PILOT_SECONDS or not is_compiled(plan):
+        return None
+    return pilot_run(scene, plan, summary, True, PILOT_SECONDS)
+
+
 def pilot_seconds(scene: Scene, plan: Plan, pace: Throughput) -> float:
     """Return the time [s] that a pilot run takes on this core, infinity if none is possible."""
-    counts = _cell_counts(scene)
-    if not counts:
+    grids = _grids(scene)
+    if not grids:
         return math.inf
-    ratio = counts[0] / max(scene.domain.cells)  # [scene cells per coarse cell]
+    ratio = scene.domain.cell / grids[0].cell
     dt = plan.fixed_dt or time_step_bounds(scene, plan)[0][0]
     steps = ratio * float(plan.times[-1]) / dt
-    return steps * (1e-9 * step_ns(scene, plan, pace, ratio) + STEP_SECONDS)
+    return steps * (1e-9 * step_ns(scene, plan, pace, ratio) + step_overhead(scene, plan))
 
 
-def _cell_counts(scene: Scene) -> list[int]:
-    """Return coarser cell counts of the longest edge, ascending, that divide every edge."""
-    cells = scene.domain.cells
-    unit = max(cells) // math.gcd(*cells)
-    candidates = {unit * round(max(cells) / (unit * factor)) for factor in COARSENING_FACTORS}
-    minimum = MIN_CELLS * max(cells) / min(cells)
-    return sorted(n for n in candidates if minimum <= n < max(cells))
+def _grids(scene: Scene) -> list[Grid]:
+    """Return the coarser grids of a pilot run, the first to be tried first.
+
+    Cells that divide every edge of the domain come first, coarsest first. Then the domain is longer
+    at its upper ends, by less than a cell, and by two cells more where the end is open, so that
+    inlets near it have room: the grid that differs least from the domain comes first.
+    """
+    cells, dx = scene.domain.cells, scene.domain.cell
+    longest, shortest = max(cells), min(cells)
+    unit = longest // math.gcd(*cells)
+    counts = sorted({unit * round(longest / (unit * factor)) for factor in COARSENING_FACTORS})
+    grids = [
+        Grid(dx * longest / n, scene.domain.size)
+        for n in counts
+        if MIN_CELLS * longest <= n * shortest and n < longest
+    ]
+    is_open = [kind == "open" for kind, _ in scene.domain.walls[1::2]]
+    coarsest, finest = PADDED_FACTORS
+    padded = []
+    for n in range(math.ceil(longest / coarsest), math.floor(longest / finest) + 1):
+        factor = longest / n
+        whole = [math.ceil(m / factor - ROUNDING) for m in cells]
+        excess = max(k * factor - m for k, m in zip(whole, cells, strict=True))
+        if min(whole) >= MIN_CELLS:
+            ends = [k + OPEN_CELLS * free for k, free in zip(whole, is_open, strict=True)]
+            padded.append((excess, Grid(dx * factor, tuple(k * (factor * dx) for k in ends))))
+    return grids + [grid for _, grid in sorted(padded) if grid not in grids]
 
 
-def _coarsened(scene: Scene, count: int) -> Scene:
-    """Return the scene with `count` cells along the longest edge."""
-    cell = max(scene.domain.size) / count
-    overrides = [f"domain.cell={cell!r}"]
+def _coarsened(scene: Scene, grid: Grid) -> Scene:
+    """Return the scene on another grid."""
+    overrides = [f"domain.cell={grid.cell!r}"]
+    if grid.size != scene.domain.size:
+        overrides.append(f"domain.size={list(grid.size)!r}")
     if scene.time.dt:
-        overrides.append(f"time.dt={scene.time.dt * cell / scene.domain.cell!r}")
+        overrides.append(f"time.dt={scene.time.dt * grid.cell / scene.domain.cell!r}")
     return load_again(scene, tuple(overrides))
 
 
@@ -138,27 +193,92 @@ def _play(
         if plan.fixed_dt and run.plan.fixed_dt:
             step_ratio = run.plan.fixed_dt / plan.fixed_dt
         interval, steps_before = math.ceil(len(run.times) / SNAPSHOTS), 0
-        first_second = time.process_time()
+        first_second = second_before = time.process_time()
 
         def look(run: Runner) -> None:
             """Take a snapshot if the frame is due."""
-            nonlocal steps_before
-            if time.process_time() - first_second > max_seconds:
+            nonlocal steps_before, second_before
+            now = time.process_time()
+            if now - first_second > max_seconds:
                 raise PilotTimeout
             if run.frame and (run.frame % interval == 0 or run.frame == len(run.times) - 1):
                 steps, steps_before = run.simulation.step - steps_before, run.simulation.step
+                step = _coarse_step(coarse, summary, run.simulation, (now - second_before) / steps)
                 snapshots.append(
-                    _snapshot(scene, plan, summary, run.simulation, step_ratio * steps)
+                    _snapshot(scene, plan, summary, run.simulation, step_ratio * steps, step)
                 )
+            if run.frame == 0 or run.frame % interval == 0:
+                second_before = time.process_time()
 
         run.options.watchers.append(look)
-        run.run()
-    return PilotRun(coarse.domain.cell, time.monotonic() - start, tuple(snapshots))
+        try:
+            run.run()
+        except PilotTimeout:
+            if not snapshots:
+                raise
+    reached = snapshots[-1].time
+    if reached < plan.times[-1]:
+        snapshots.append(_extrapolated(plan, snapshots[-1], reached / len(snapshots)))
+    seconds = time.monotonic() - start
+    return PilotRun(coarse.domain.cell, seconds, tuple(snapshots), float(reached))
+
+
+def _extrapolated(plan: Plan, last: Snapshot, span: float) -> Snapshot:
+    """Return what is expected from a snapshot to the end: steps and places stay as they are.
+
+    Inlets go on: blocks grow as the particles do.
+
+    Args:
+        plan: The plan of the scene.
+        last: The snapshot.
+        span: Time [s] of its steps.
+    """
+    end = float(plan.times[-1])
+    number, around = list(last.number), list(last.around)
+    for source in plan.sources:
+        k, middle = source.entity, 0.5 * (last.time + end)
+        growth = source.spawned(middle) / max(source.spawned(last.time), 1)
+        number[k] = round(growth * number[k])
+        around[k] = around[k].scaled(growth)
+    steps = last.steps / span * (end - last.time)
+    return Snapshot(end, steps, tuple(number), tuple(around), last.coarse)
+
+
+def _bodies_of(simulation: Simulation) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return positions (n, 3) [m], rest volumes [m3] and objects of particles, by objects."""
+    groups = simulation.groups
+    owner = np.concatenate([simulation.object_of(g.ids[g.index()]) for g in groups])
+    order = np.argsort(owner, kind="stable")
+    x = np.concatenate([g.positions() for g in groups])
+    volume = np.concatenate([g.get("vol0", g.index())[:, 0] for g in groups])
+    return x[order], volume[order], owner[order]
+
+
+def _coarse_step(
+    coarse: Scene, summary: ParticleSummary, simulation: Simulation, seconds: float
+) -> CoarseStep:
+    """Return the mean step of a pilot run, with the particles where they are now.
+
+    Args:
+        coarse: The scene in coarser cells.
+        summary: Summary of the scene's particles.
+        simulation: The coarse simulation.
+        seconds: Processor time of a step [s].
+    """
+    x, _, owner = _bodies_of(simulation)
+    count = np.bincount(owner, minlength=len(simulation.plan.count))
+    around = measure_proximity(coarse, np.split(x, np.cumsum(count)[:-1]), summary.colliders)
+    plan = replace(simulation.plan, count=tuple(count.tolist()), surroundings=around)
+    fluid, elastic = (
+        step_ns(coarse, plan, Throughput(*pace, "")) for pace in ((1.0, 0.0), (0.0, 1.0))
+    )
+    return CoarseStep(seconds, fluid, elastic)
 
 
 def _snapshot(
-    scene: Scene, plan: Plan, summary: ParticleSummary, simulation: Simulation, steps: float
-) -> Snapshot:
+    scene: Scene, plan: Plan, summary: ParticleSummary, simulation: Simulation, steps: float,
+    step: CoarseStep,
+) -> Snapshot:  # fmt: skip
     """Return a snapshot of a simulation, converted to the cells and particle counts of the scene.
 
     Args:
@@ -167,24 +287,20 @@ def _snapshot(
         summary: Summary of its particles.
         simulation: The coarse simulation.
         steps: Steps since the last snapshot, in the scene's own cells.
+        step: Mean step of the coarse simulation since then.
     """
-    groups = simulation.groups
-    owner = np.concatenate([simulation.object_of(g.ids[g.index()]) for g in groups])
-    x = np.concatenate([g.positions() for g in groups])
-    volume = np.concatenate([g.get("vol0", g.index())[:, 0] for g in groups])
+    x, volume, owner = _bodies_of(simulation)
     offset = _half_width(scene, x, owner, volume)
-    order = np.argsort(owner, kind="stable")
     counts = np.bincount(owner, minlength=len(plan.count))
-    x = x[order, None] + offset[order, None, None] * CORNERS
+    x = x[:, None] + offset[:, None, None] * CORNERS
     x = np.clip(x, 0.0, np.nextafter(scene.domain.size, 0.0))
     positions = [part.reshape(-1, 3) for part in np.split(x, np.cumsum(counts)[:-1])]
     rows = zip(counts, simulation.plan.count, plan.count, strict=True)
     count = tuple(
         round(n / max(coarse_count, 1) * scene_count) for n, coarse_count, scene_count in rows
     )
-    return Snapshot(
-        simulation.time, steps, count, measure_proximity(scene, positions, summary.colliders)
-    )
+    around = measure_proximity(scene, positions, summary.colliders)
+    return Snapshot(simulation.time, steps, count, around, step)
 
 
 def _half_width(scene: Scene, x: np.ndarray, owner: np.ndarray, volume: np.ndarray) -> np.ndarray:
