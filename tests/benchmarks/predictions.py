@@ -7,6 +7,7 @@ little. Most scenes are coarser or shorter than they are given: `SCENES`. Those 
 not serve to adjust the cost model.
 """
 
+import math
 import tempfile
 import time
 from pathlib import Path
@@ -14,9 +15,9 @@ from typing import NamedTuple
 
 import vgmpi
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.planning.cost.run_estimate import predicted_seconds, step_count
+from vgmpi.planning.cost.run_estimate import predicted_seconds, step_count, step_seconds
 from vgmpi.planning.cost.throughput import Throughput
-from vgmpi.planning.plan import time_step_bounds
+from vgmpi.planning.plan import Plan, time_step_bounds
 from vgmpi.scene.scene import Scene
 from vgmpi.solver.compile_kernels import compile_kernels
 from vgmpi.solver.estimates.calibration import LAWS, measure_throughput
@@ -91,12 +92,22 @@ def measure(name: str) -> Prediction:
     after = [measure_throughput(law, scene.accuracy.precision) for law in LAWS]
     fluid, elastic = (0.5 * (a + b) for a, b in zip(before, after, strict=True))
     pace = Throughput(fluid, elastic, "measured beside the run")
-    dt = plan.fixed_dt or time_step_bounds(scene, plan)[0][0]
-    plain = predicted_seconds(scene, plan, 1, pace)
+    told_steps, plain = told_by_run(scene, plan, pace)
     better = plain if pilot is None else predicted_seconds(scene, plan, 1, pace, pilot)
-    told_steps = float(step_count(plan, dt, 0.0))
     with_pilot = told_steps if pilot is None else pilot.steps
     return Prediction(name, (told_steps, with_pilot), steps, (plain, better), taken, pilot_seconds)
+
+
+def told_by_run(scene: Scene, plan: Plan, pace: Throughput) -> tuple[float, float]:
+    """Return steps and time [s] without a pilot run; the geometric middle where a range is told."""
+    seconds = predicted_seconds(scene, plan, 1, pace)
+    few, many = (
+        step_count(plan, plan.fixed_dt or time_step_bounds(scene, plan, stiffened)[0][0], 0.0)
+        for stiffened in (False, True)
+    )
+    middle = math.sqrt(few * many)
+    each = step_seconds(scene, plan, 1, pace, None)
+    return middle, seconds + (middle - few) * each
 
 
 def play(scene: Scene) -> tuple[int, float]:

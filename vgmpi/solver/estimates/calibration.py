@@ -6,6 +6,7 @@ The result is kept in the user's cache folder.
 import json
 import logging
 import math
+import statistics
 import time
 import zlib
 from importlib.metadata import PackageNotFoundError, version
@@ -95,8 +96,9 @@ def cached_throughput(precision: str) -> Throughput | None:
 def measure_throughput(law: str, precision: str) -> float:
     """Return the time [ns] per particle and step of a cube in free flight, including its sorts.
 
-    It is the CPU time on this core, the least of several cycles, so that other work of the machine
-    counts little. Kernels are compiled first if they must be.
+    It is the CPU time on this core, the median of several cycles: other programs that share its
+    caches make a run slower as well, and single disturbed cycles do not count. Kernels are compiled
+    first if they must be.
     """
     keys = {"room": DOMAIN_CELLS / 100, "precision": precision, "law": LAWS[law]}
     scene = load(Path("calibration"), text=SCENE.format(**keys))
@@ -105,7 +107,7 @@ def measure_throughput(law: str, precision: str) -> float:
     compile_kernels(plan, SerialCommunicator())
     simulation, dt = _cube(plan, x)
     _cycle(simulation, dt)  # memory and code are warm, and the first sort is over
-    return min(_cycle(simulation, dt) for _ in range(CYCLES))
+    return statistics.median(_cycle(simulation, dt) for _ in range(CYCLES))
 
 
 def _lattice(dx: float) -> np.ndarray:
