@@ -77,10 +77,10 @@ class PilotRun(NamedTuple):
         Args:
             pace: Throughput of the processor.
         """
-        each = np.array([m.coarse.overhead(pace) for m in self.moments])
-        if len(each) > 1:
-            each[0] = min(each[0], each[1])
-        return each
+        seconds = np.array([m.coarse.overhead(pace) for m in self.moments])
+        if len(seconds) > 1:
+            seconds[0] = min(seconds[0], seconds[1])
+        return seconds
 
     def mean_overhead(self, pace: Throughput) -> float:
         """Return the mean over all steps of `overhead` [s]."""

@@ -157,11 +157,12 @@ def _grids(scene: Scene) -> list[Grid]:
     padded = []
     for n in range(math.ceil(longest / coarsest), math.floor(longest / finest) + 1):
         factor = longest / n
-        whole = [math.ceil(m / factor - ROUNDING) for m in cells]
-        excess = max(k * factor - m for k, m in zip(whole, cells, strict=True))
-        if min(whole) >= MIN_CELLS:
-            ends = [k + OPEN_CELLS * free for k, free in zip(whole, is_open, strict=True)]
-            padded.append((excess, Grid(dx * factor, tuple(k * (factor * dx) for k in ends))))
+        counts = [math.ceil(m / factor - ROUNDING) for m in cells]
+        excess = max(k * factor - m for k, m in zip(counts, cells, strict=True))
+        if min(counts) >= MIN_CELLS:
+            padding = [OPEN_CELLS * wall for wall in is_open]
+            size = [(k + m) * (factor * dx) for k, m in zip(counts, padding, strict=True)]
+            padded.append((excess, Grid(dx * factor, tuple(size))))
     return grids + [grid for _, grid in sorted(padded) if grid not in grids]
 
 
@@ -234,14 +235,14 @@ def _extrapolated(plan: Plan, last: Snapshot, span: float) -> Snapshot:
         span: Time [s] of its steps.
     """
     end = float(plan.times[-1])
-    number, around = list(last.number), list(last.around)
+    number, proximity = list(last.number), list(last.around)
     for source in plan.sources:
         k, middle = source.entity, 0.5 * (last.time + end)
         growth = source.spawned(middle) / max(source.spawned(last.time), 1)
         number[k] = round(growth * number[k])
-        around[k] = around[k].scaled(growth)
+        proximity[k] = proximity[k].scaled(growth)
     steps = last.steps / span * (end - last.time)
-    return Snapshot(end, steps, tuple(number), tuple(around), last.coarse)
+    return Snapshot(end, steps, tuple(number), tuple(proximity), last.coarse)
 
 
 def _bodies_of(simulation: Simulation) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -267,8 +268,8 @@ def _coarse_step(
     """
     x, _, owner = _bodies_of(simulation)
     count = np.bincount(owner, minlength=len(simulation.plan.count))
-    around = measure_proximity(coarse, np.split(x, np.cumsum(count)[:-1]), summary.colliders)
-    plan = replace(simulation.plan, count=tuple(count.tolist()), surroundings=around)
+    proximity = measure_proximity(coarse, np.split(x, np.cumsum(count)[:-1]), summary.colliders)
+    plan = replace(simulation.plan, count=tuple(count.tolist()), surroundings=proximity)
     fluid, elastic = (
         step_ns(coarse, plan, Throughput(*pace, "")) for pace in ((1.0, 0.0), (0.0, 1.0))
     )
@@ -299,8 +300,8 @@ def _snapshot(
     count = tuple(
         round(n / max(coarse_count, 1) * scene_count) for n, coarse_count, scene_count in rows
     )
-    around = measure_proximity(scene, positions, summary.colliders)
-    return Snapshot(simulation.time, steps, count, around, step)
+    proximity = measure_proximity(scene, positions, summary.colliders)
+    return Snapshot(simulation.time, steps, count, proximity, step)
 
 
 def _half_width(scene: Scene, x: np.ndarray, owner: np.ndarray, volume: np.ndarray) -> np.ndarray:
