@@ -114,7 +114,7 @@ def test_a_plan_is_for_the_ranks_of_a_plain_run(path, free, monkeypatch, words, 
 def test_the_time_of_a_plan_is_that_on_its_ranks(path, free, monkeypatch, capsys):
     pace = ASSUMED_THROUGHPUT["single"]._replace(of="as told")
     monkeypatch.setattr(plan_command.calibration, "host_throughput", lambda *_, **__: pace)
-    monkeypatch.setattr(plan_command, "is_compiled", lambda plan: False)  # no pilot run
+    monkeypatch.setattr(plan_command, "default_pilot_run", lambda *_: None)
     monkeypatch.setattr(plan_command, "physical_cores", lambda: 4)
     monkeypatch.setattr(plan_command, "find_mpirun", lambda: "mpirun")
     times = []

@@ -1,15 +1,19 @@
-"""Scenes that `vgmpi photo` writes run to their end, with exit code 0.
+"""Scenes that `vgmpi photo` and `vgmpi convert` write run to their end, with exit code 0.
 
 Scenes of the documentation: tests/docs/test_scenes_of_pages.py.
 """
 
+import json
+import re
 import tomllib
 
 import pytest
 from PIL import Image
 
 from tests.support import drawn_photograph
+from tests.support.foreign_configs import BOX, ONE, egg, several
 from vgmpi.apps.commands import main as vgmpi_main
+from vgmpi.apps.photo import example_photographs
 from vgmpi.io.run_reader import RunReader
 
 LAYOUT = """
@@ -63,3 +67,50 @@ def test_a_photograph_becomes_a_scene_that_runs(tmp_path, thing, material, suppo
     words = ["photo", str(tmp_path / "photo.png"), str(tmp_path / "layout.toml")]
     assert vgmpi_main([*words, "-o", str(folder)]) == 0
     assert run_to_end(folder / "scene.toml") > -0.1
+
+
+SINKING = "chelsea", "coffee"  # docs/explanation/known-limitations.md
+
+
+@pytest.mark.parametrize("name", example_photographs.SUMMARIES)
+def test_an_example_of_photographs_runs(tmp_path, name):
+    """In coarse cells, for 0.2 s; two captures go further into the floor than they should."""
+    pytest.importorskip("cv2", reason="no OpenCV: pip install 'vgmpi[images]'")
+    if not (example_photographs.FOLDER / name / "photo.jpg").exists():
+        pytest.importorskip("skimage", reason="scikit-image has the photograph")
+    photo, layout = example_photographs.write_example(name, tmp_path)
+    text = layout.read_text()
+    for key, value in {"end": '"0.2 s"', "frames": "5", "cells": "24"}.items():
+        text, count = re.subn(rf"^{key} = [^#\n]*", f"{key} = {value}", text, flags=re.M)
+        assert count == 1, key
+    layout.write_text(text)
+    assert vgmpi_main(["photo", str(photo), str(layout), "-o", str(tmp_path)]) == 0
+    least = run_to_end(tmp_path / "scene.toml")
+    if name in SINKING and least <= -0.1:
+        pytest.xfail(f"particles outside the surface that contact uses: {least:.3f} cells")
+    assert least > -0.1
+
+
+WALLS = {"boundary_conditions": [BOX]}
+ON_THE_FLOOR = {
+    "type": "surface_collider", "point": [1, 1, 0.5], "normal": [0, 0, 1], "surface": "separate",
+    "friction": 0.3, "start_time": 0, "end_time": 1e3,
+}  # fmt: skip
+HIGH = {"center_point": [2, 2, 2.4]}
+CONFIGS = {
+    "PhysGaussian, jelly": ONE | {"boundary_conditions": [ON_THE_FLOOR]},
+    "PhysGaussian, sand": ONE | {"material": "sand", "friction_angle": 30} | WALLS,
+    "PhysGaussian, metal": ONE | {"material": "metal", "yield_stress": 1e3} | WALLS,
+    "PhysGaussian, no walls": ONE,
+    "VersaGauss, two bodies": several(({}, {}), ({"material": "sand"}, HIGH), **WALLS),
+}
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_a_converted_configuration_runs(tmp_path, name):
+    config, scene = tmp_path / "config.json", tmp_path / "scene.toml"
+    config.write_text(json.dumps(CONFIGS[name]))
+    bodies = [str(egg(tmp_path))] * CONFIGS[name].get("object_num", 1)
+    words = ["convert", str(config), "-o", str(scene)]
+    assert vgmpi_main([*words, *(word for path in bodies for word in ("--gaussians", path))]) == 0
+    assert run_to_end(scene) > -0.1
