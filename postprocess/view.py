@@ -37,7 +37,7 @@ def picture(run: RunReader, index: int, color: str, path: Path, args: argparse.N
     if "DISPLAY" not in os.environ:  # VTK would complain before it falls back to drawing off screen
         pv.vtk_verbosity("off")
     frame = run.frame(index)
-    if not len(frame["x"]):
+    if not len(frame["positions"]):
         raise RunError(f"{args.out}: frame {index} has no particles; vgmpi render draws all else")
     try:
         values = scalars(frame, color)
