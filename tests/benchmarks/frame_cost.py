@@ -17,6 +17,7 @@ import numpy as np
 
 from tests.support.launch import ROOT
 from vgmpi.apps.bench.benchmark_case import BenchError
+from vgmpi.io import file_layout
 from vgmpi.io.frames import Frames
 from vgmpi.parallel.communicator import SerialCommunicator
 
@@ -33,8 +34,9 @@ def time_frames(particles: int, frames: int) -> dict:
     """
     random = np.random.default_rng(1)
     ids = random.permutation(particles)
+    positions = file_layout.FRAME[1].name  # "x" in older checkouts
     fields = {
-        "x": random.random((particles, 3), np.float32),
+        positions: random.random((particles, 3), np.float32),
         "velocity": random.random((particles, 3), np.float32),
         "J": random.random(particles, np.float32),
         "F": random.random((particles, 9), np.float32),
@@ -46,7 +48,7 @@ def time_frames(particles: int, frames: int) -> dict:
         write_series, spent, series = writer._write_series, [], []
         writer._write_series = lambda: None
         for k in range(TIMED):
-            fields["x"] += MOVE
+            fields[positions] += MOVE
             begin = time.process_time()
             writer.write(k, 0.1 * k, k, ids, fields)
             spent.append(time.process_time() - begin)
