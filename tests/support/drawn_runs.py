@@ -86,7 +86,7 @@ def frame_fields(rows, k, frames):
 
 def enlarged(arrays, scale):
     """Arrays of a run that is `scale` times as large."""
-    powers = {"x0": 1, "x": 1, "cov0": 2, "vol0": 3}
+    powers = {"x0": 1, "positions": 1, "cov0": 2, "vol0": 3}
     return {
         name: a * np.asarray(scale ** powers[name], a.dtype) if name in powers else a
         for name, a in arrays.items()
