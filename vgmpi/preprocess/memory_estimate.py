@@ -215,7 +215,7 @@ def _box(scene: Scene, obj: Object) -> tuple[SimilarityTransform, np.ndarray, np
         transform = placement(obj, lambda d: shape_sdf.support(shape, d))
         low, high = corners(transform, lambda d: shape_sdf.support(shape, d))
         if obj.role == "body":
-            check_inside(scene, obj, low, high, 1e-6 * spacing_of(scene, obj))
+            check_inside(scene, obj, low, high)
     except PlacementError:
         return None
     overhang = transform.scale * shape_sdf.blend_overhang(shape)

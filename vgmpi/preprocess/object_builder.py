@@ -68,7 +68,7 @@ def build_object(scene: Scene, number: int) -> BuiltObject:
     obj = scene.object[number]
     piece = _MAKE[obj.source](scene, number, obj)
     if obj.role == "body":  # this includes fillings and samples
-        check_inside(scene, obj, piece.cloud.x.min(axis=0), piece.cloud.x.max(axis=0), 0.0)
+        check_inside(scene, obj, piece.cloud.x.min(axis=0), piece.cloud.x.max(axis=0))
         complete, pruning = piece, ""
         if obj.prune != "off":
             piece, pruning = _pruned(scene, obj, piece)
@@ -105,7 +105,7 @@ def _from_shape(scene: Scene, k: int, obj: Object) -> BuiltObject:
     transform = placement(obj, lambda d: shape_sdf.support(shape, d))
     low, high = corners(transform, lambda d: shape_sdf.support(shape, d))
     if obj.role == "body":
-        check_inside(scene, obj, low, high, 1e-6 * spacing)  # before a huge lattice is searched
+        check_inside(scene, obj, low, high)  # before a huge lattice is searched
     overhang = transform.scale * shape_sdf.blend_overhang(shape)
     memory_estimate.within_numbers(scene, obj, low - overhang, high + overhang)
 
@@ -160,7 +160,7 @@ def _from_mesh(scene: Scene, k: int, obj: Object) -> BuiltObject:
     low, high = placed.points.min(axis=0), placed.points.max(axis=0)
     memory_estimate.within_numbers(scene, obj, low, high)
     if obj.role == "body":
-        check_inside(scene, obj, low, high, 1e-6 * spacing)
+        check_inside(scene, obj, low, high)
     filled = obj.role == "body" or obj.collider
     is_sheet = False
     if filled:
@@ -237,7 +237,7 @@ def _from_gaussians(scene: Scene, k: int, obj: Object) -> BuiltObject:
         if not obj.collider:
             return BuiltObject(drawn, np.zeros(len(drawn)), transform)
     else:
-        check_inside(scene, obj, cloud.x.min(axis=0), cloud.x.max(axis=0), 0.0)
+        check_inside(scene, obj, cloud.x.min(axis=0), cloud.x.max(axis=0))
     try:
         missing = interior_fill.interior(cloud, spacing, obj.fill, upright(obj, transform))
     except interior_fill.VoxelGridTooLargeError as error:
@@ -263,7 +263,7 @@ def _from_points(scene: Scene, k: int, obj: Object) -> BuiltObject:
     x = transform.to_domain(points.positions)
     low, high = x.min(axis=0), x.max(axis=0)
     memory_estimate.within_numbers(scene, obj, low, high)
-    check_inside(scene, obj, low, high, 0.0)
+    check_inside(scene, obj, low, high)
     voxels = Voxels.enclosing(x, spacing)
     if points.volumes is not None:
         volume = transform.scale**3 * points.volumes

@@ -21,6 +21,7 @@ UP = {
 
 
 MIN_EXTENT = 1e-100  # [own units] extents up to this count as none
+ROUNDING = 1e-6  # [cells] by which objects may end outside the domain
 
 
 class PlacementError(ValueError):
@@ -131,19 +132,16 @@ def corners(
     return low, high
 
 
-def check_inside(
-    scene: Scene, obj: Object, low: np.ndarray, high: np.ndarray, slack: float
-) -> None:
-    """Raise PlacementError if an object extends out of the domain.
+def check_inside(scene: Scene, obj: Object, low: np.ndarray, high: np.ndarray) -> None:
+    """Raise PlacementError if an object extends out of the domain by more than rounding.
 
     Args:
         scene: The scene.
         obj: The object.
         low: Its lower corner, shape (3,) [m].
         high: Its upper corner, shape (3,) [m].
-        slack: Tolerance [m].
     """
-    size = np.asarray(scene.domain.size)
+    size, slack = np.asarray(scene.domain.size), ROUNDING * scene.domain.cell
     problems = []
     for axis, name in enumerate("xyz"):
         if low[axis] < -slack or high[axis] > size[axis] + slack:
