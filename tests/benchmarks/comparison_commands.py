@@ -45,6 +45,25 @@ def _run_scenes(args: argparse.Namespace) -> int:
     return 0
 
 
+def _pictures(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("tree", type=Path, help="another checkout")
+    say("run", type=Path, help="folder of a run")
+    say("settings", type=Path, help="its render.toml")
+    say("--frames", nargs="+", type=int, default=[1], metavar="N", help="default 1")
+    say("--rounds", type=int, default=3, help="default 3")
+
+
+def _run_pictures(args: argparse.Namespace) -> int:
+    from tests.benchmarks import compare_pictures
+
+    for line in compare_pictures.compare(
+        args.tree, args.run, args.settings, args.frames, args.rounds, print_progress
+    ):
+        print(line, flush=True)
+    return 0
+
+
 def _board_steps(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("cases", nargs="*", help="cases of the board, default: all")
     parser.add_argument("--cfl", type=float, default=0.4, help="of the shorter step, default 0.4")
@@ -101,5 +120,6 @@ COMPARISON_COMMANDS = {
     "board-steps": ("runs of the board with a shorter step", _board_steps, _run_board_steps),
     "cores": ("ranks beside threads, and what a start on ranks costs", _cores, _run_cores),
     "frames": ("what writing a frame costs", _frames, _run_frames),
+    "pictures": ("pictures of a run beside another checkout", _pictures, _run_pictures),
     "scenes": ("scenes of runs/ beside another checkout", _scenes, _run_scenes),
 }

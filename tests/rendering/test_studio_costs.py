@@ -1,12 +1,13 @@
 """What a frame of the studio computes, in counts, and that leaving out the rest changes nothing."""
 
 import numpy as np
+import pytest
 
 from tests.rendering.test_studio_normals import BODY, CLEAR
 from tests.support import solid_runs, studio_scenes
 from vgmpi.rendering.raster import liquid_surface
 from vgmpi.rendering.raster.rasterize import ProjectableGaussians
-from vgmpi.rendering.studio import cone_occlusion, surface_edges
+from vgmpi.rendering.studio import cone_occlusion, deferred_shading, surface_edges
 
 BOX = '[[object]]\nname = "thing"\nshape = { box = [[0.12, 0.12, 0.12], [0.28, 0.28, 0.28]] }\n'
 
@@ -19,12 +20,15 @@ def test_opaque_bodies_are_blended_once(tmp_path, monkeypatch):
     assert len(calls) == 1
 
 
-def test_one_pass_over_surfaces_is_several():
+@pytest.mark.parametrize("of_one_material", [None, (0.0, 0, 0), (0, 0.2, 1)])
+def test_one_pass_over_surfaces_is_several(of_one_material):
     """Color, normal, material and depth are those of a picture each."""
     rng = np.random.default_rng(4)
     x = rng.uniform(0.25, 0.4, (300, 3))
     cov = np.tile([1e-4, 0, 0, 1e-4, 0, 1e-4], (300, 1))
     color, normal, material = (rng.uniform(0, 1, (300, 3)) for _ in range(3))
+    if of_one_material is not None:
+        material[:] = of_one_material
     opacity = rng.uniform(0.1, 0.9, 300)
     camera = studio_scenes.oblique(50, (0.3, 0.3, 0.3), size=90)
 
@@ -88,3 +92,34 @@ def test_a_cone_ends_at_what_is_occupied():
     light = [cone_occlusion.cone(pyramid, 0.24, 0.34, z, 0, 0, 1.0, 0.1, 0.01, 2.2)
              for z in (0.02, 0.6)]  # fmt: skip
     assert light[0] < 0.1 and light[1] == 1.0
+
+
+def test_light_is_interpolated_where_it_is_even():
+    """A floor in the shadow of a ball: the light is that of every pixel evaluated.
+
+    A little sand in every other pixel keeps them from being interpolated.
+    """
+    rig = studio_scenes.dark_rig(key=0.8, horizon=0.5, zenith=0.6, bounce=0.4, width=0.07)
+    x = studio_scenes.sphere(0.15, 0.0125, (0.5, 0.5, 0.3))
+    shadows = studio_scenes.pyramid(x, 0.0125**3, cells=150)
+    drop = studio_scenes.water(
+        studio_scenes.grid_points((6, 6, 6), 0.01) + 5, 0.01, (5, 5, 5, 6, 6, 6)
+    )
+    camera = studio_scenes.oblique(40, (0.5, 0.5, 0.0), size=160)
+    pictures = []
+    for sand in (0.0, 0.03):
+        stage = studio_scenes.stage_of(drop, camera, rig, shadows=shadows)
+        view = stage.buffers
+        view.depth[:] = studio_scenes.wall_at(view, 2, 0.0)[0]
+        shape = (*view.depth.shape, 3)
+        up = np.broadcast_to(np.float32([0.5, 0.5, 1.0]), shape).copy()
+        white, kinds = np.ones(shape, np.float32), np.zeros(shape, np.float32)
+        kinds[..., 0] = sand * (np.indices(shape[:2]).sum(axis=0) % 2)
+        left = np.zeros(shape[:2], np.float32)
+        deferred_shading.shade_opaque(stage, white, up, kinds, left, 1, False, 0.5)
+        pictures.append(view.light.astype(float))
+    smooth, exact = (picture[:, ::2][::2] for picture in pictures)  # pixels without sand
+    assert exact.min() < 0.5 * exact.max()
+    difference = np.abs(smooth - exact) / exact
+    assert difference.any()  # interpolated
+    assert difference.max() < 0.04 and difference.mean() < 0.003

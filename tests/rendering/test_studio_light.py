@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.support import studio_scenes
-from vgmpi.rendering.studio import deferred_shading, studio_ground, tone_mapping
+from vgmpi.rendering.studio import deferred_shading, studio_ground, tile_light, tone_mapping
 
 H, THICK = 0.0125, 0.1  # m: of walls in a box of 1 m
 
@@ -46,7 +46,7 @@ def lit(stage, p, n):
     """Ambient light and what is open at a point."""
     key, sky, work = np.empty(3), np.empty(3), np.empty(11)
     p, n = np.array(p, dtype=float), np.array(n, dtype=float)
-    return deferred_shading.light_at(stage, p, n, 0.0, False, key, sky, work), sky, key
+    return tile_light.light_at(stage, p, n, 0.0, False, key, sky, work), sky, key
 
 
 @pytest.fixture(scope="module")

@@ -135,3 +135,23 @@ def test_arrays_made_by_a_callee_are_counted():
 
     array, total = use(4)
     assert total == 10.0 and array.tolist() == [2.5] * 4
+
+
+def owned(x):
+    return both_again(x) + 1.0
+
+
+def test_a_kernel_may_own_what_it_calls(folder, compiled):
+    """Its module exports nothing but the function; from disk it is the same."""
+    global both_again
+    for again in (False, True):
+        both_again = make()[-1]
+        kernel = compile_cache.njit_cached(owns_callees=True, nogil=True)(owned)
+        assert kernel(3.0) == 4.0
+        assert ("owned" in compiled) is not again
+        if not again:
+            (code,) = kernel.overloads.values()
+            compiled.clear()
+            assert isinstance(code.library, callee_code.KernelLibrary)
+            text = code.library.get_llvm_str()
+            assert "linkonce_odr" not in text and "define" in text

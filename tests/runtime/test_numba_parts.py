@@ -40,6 +40,10 @@ PRIVATE_PARTS = {
         dispatcher.Dispatcher.get_call_template, ["self", "args", "kws"]
     ),
     "CPUCodeLibrary.finalize": (codegen.CPUCodeLibrary.finalize, ["self"]),
+    "CPUCodeLibrary._optimize_final_module": (
+        codegen.CPUCodeLibrary._optimize_final_module, ["self"]
+    ),
+    "CodeLibrary.enable_object_caching": (codegen.CodeLibrary.enable_object_caching, ["self"]),
     "CPUCodeLibrary._get_module_for_linking": (
         codegen.CPUCodeLibrary._get_module_for_linking, ["self"]
     ),
@@ -84,6 +88,7 @@ def test_a_compiler_without_machine_code_is_asked_for_by_flags():
     assert {"no_compile", "no_cpython_wrapper", "no_cfunc_wrapper"} <= set(flags.options)
     text = inspect.getsource(codegen.CPUCodeLibrary.finalize)
     assert "link_in" in text and "self._reload_init.update(library._reload_init)" in text
+    assert text.index("link_in") < text.index("self._optimize_final_module()")
 
 
 def test_functions_are_numbered_by_a_counter():

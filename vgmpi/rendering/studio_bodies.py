@@ -9,7 +9,8 @@ from vgmpi.gaussians.baked_shading import facing_of_shade
 from . import shape_surfaces
 from .appearance import Appearance
 from .export_model import is_capture
-from .frame_gaussians import GaussianBatch, Scenery
+from .frame_gaussians import GaussianBatch, Passive, Scenery
+from .scenery_filling import SceneryFilling, fill_scenery
 from .studio import body_normals, lattice_deformation, surface_edges
 
 GRANULAR = ("sand", "snow")
@@ -144,23 +145,18 @@ class Bodies:
         self.scenery_normal: np.ndarray | None = None
         self.scenery_kind: np.ndarray | None = None
         self.scenery_volume = self.scenery_area = np.zeros(0)
+        self.skins: list[np.ndarray] = []
+        self.filling: SceneryFilling | None = None
         if look.scenery is not None:
             self._scenery(look.scenery, gaussians.scenery, captured)
         self.surface = shape_surfaces.surface_of_bodies(look)
+        self.is_covered = np.zeros(len(x0), bool)
+        if self.surface is not None:
+            self.is_covered[self.surface.covered] = True
         self.moving = [] if look.scenery is None else look.scenery.moving
         self.scenery_surface = shape_surfaces.surface_of_scenery(look)
         if look.passive is not None:
-            object_ids = np.asarray(gaussians.passive.object)
-            self.rider_kind = _kind_shares(captured[object_ids])
-            self.rider_normal = np.zeros((len(object_ids), 3))
-            shift, cov0 = self.rider_normal.copy(), look.passive.cov0.copy()
-            for k in np.unique(object_ids):
-                members = np.flatnonzero(object_ids == k)
-                s = float(np.cbrt(np.median(look.vol0[look.object == k])))
-                surface = self._rest_surface(gaussians.passive, members, s, captured[k])
-                self.rider_normal[members], shift[members], cov0[members] = surface
-            look.passive.offset = look.passive.offset + shift[:, None]
-            look.passive.cov0 = cov0
+            self._riders(look.passive, gaussians.passive, captured)
 
     def _rest_surface(
         self, rows, members: np.ndarray, spacing: float, captured: bool
@@ -188,6 +184,20 @@ class Bodies:
             cov[covered] *= HIDDEN_SCALE
         return normal, shift, cov
 
+    def _riders(self, passive: Passive, rows, captured: np.ndarray) -> None:
+        """Determine normals and kinds of carried Gaussians."""
+        object_ids = np.asarray(rows.object)
+        self.rider_kind = _kind_shares(captured[object_ids])
+        self.rider_normal = np.zeros((len(object_ids), 3))
+        shift, cov0 = self.rider_normal.copy(), passive.cov0.copy()
+        for k in np.unique(object_ids):
+            members = np.flatnonzero(object_ids == k)
+            s = float(np.cbrt(np.median(self.look.vol0[self.look.object == k])))
+            surface = self._rest_surface(rows, members, s, captured[k])
+            self.rider_normal[members], shift[members], cov0[members] = surface
+        passive.offset = passive.offset + shift[:, None]
+        passive.cov0 = cov0
+
     def _scenery(self, scenery: Scenery, rows, captured: np.ndarray) -> None:
         """Determine normals, volumes and kinds of the scenery."""
         x0, object_ids = np.asarray(rows.x0, dtype=np.float64), np.asarray(rows.object)
@@ -207,6 +217,24 @@ class Bodies:
         self.scenery_normal, self.scenery_volume = normal, volume
         self.scenery_area = np.where(is_flat & ~captured[object_ids], np.cbrt(volume) ** 2, 0.0)
         self.scenery_kind = _kind_shares(captured[object_ids])
+        bodies = [np.flatnonzero(object_ids == k) for k in np.unique(object_ids)]
+        self.skins = [rows for rows in bodies if np.median(self.scenery_area[rows]) > 0]
+
+    def scenery_filling(self, cell: float, frame: dict) -> tuple[np.ndarray, SceneryFilling]:
+        """Return what hides light inside of closed scenery: positions (n, 3) [m] and the rest.
+
+        Args:
+            cell: Cell size of the occlusion [m].
+            frame: Arrays of the frame.
+        """
+        if self.filling is None:
+            assert self.look.scenery is not None and self.scenery_normal is not None
+            x, rest = self.look.scenery.x0, np.asarray(self.look.run.gaussians.x0)
+            spacing = np.cbrt(self.scenery_volume)
+            self.filling = fill_scenery(
+                x, self.scenery_normal, self.skins, spacing, self.moving, cell, rest
+            )
+        return self.filling.positions(frame.get("poses", ())), self.filling
 
     def scenery_volumes(self, cell: float) -> np.ndarray:
         """Return the volumes (n,) [m3] with which scenery hides light.
@@ -233,7 +261,7 @@ class Bodies:
         normal = self._current_normals(ids, frame, solid)
         particles = self._cut_at_edges(parts[particle_part].subset_rows(solid), ids, frame, solid)
         if self.surface is not None:
-            particles = shape_surfaces.without(particles, np.isin(ids, self.surface.covered))
+            particles = shape_surfaces.without(particles, self.is_covered[ids])
         out = [
             (
                 particles,
@@ -318,26 +346,20 @@ class Bodies:
 
     def _current_normals(self, ids, frame, rows) -> np.ndarray:
         """Return the normals of solids in a frame."""
-        rest_normals = self.normal[ids]
-        deforms = np.array(
-            [
-                bool(e.get("tracks_deformation", e.get("family") == "solid"))
-                for e in self.look.objects
-            ]
-        )
-        deformed = (
-            np.flatnonzero(deforms[self.look.object[ids]]) if len(deforms) else np.zeros(0, int)
-        )
-        out = rest_normals.copy()
-        if len(deformed) and "F" in frame:
+        object_ids = self.look.object[ids]
+        deforms = [
+            bool(e.get("tracks_deformation", e.get("family") == "solid")) for e in self.look.objects
+        ]
+        deformed = np.array(deforms or [False])[object_ids]
+        out = self.normal[ids]
+        if deformed.any() and "F" in frame:
             F = np.ascontiguousarray(np.asarray(frame["F"])[rows[deformed]], dtype=np.float64)
-            rotated = np.empty((len(deformed), 3))
-            body_normals.turn_normals(rest_normals[deformed], F, rotated)
+            rotated = np.empty((len(F), 3))
+            body_normals.turn_normals(out[deformed], F, rotated)
             out[deformed] = rotated
-        remaining = np.setdiff1d(np.arange(len(ids)), deformed)
         x = np.asarray(frame["positions"], dtype=np.float64)[rows]
-        for k in np.unique(self.look.object[ids[remaining]]) if len(remaining) else ():
-            members = remaining[self.look.object[ids[remaining]] == k]
+        for k in np.flatnonzero(np.bincount(object_ids[~deformed])):
+            members = np.flatnonzero(~deformed & (object_ids == k))
             s = float(np.cbrt(np.median(self.look.vol0[ids[members]])))
             out[members] = body_normals.density_normals(x[members], s)
         return out

@@ -131,7 +131,7 @@ class Studio:
         is_near = self._is_within_grids(x)
         granular = np.flatnonzero(bodies.granular[ids] & is_near)
         grain = self._grain(x, ids, granular, parts[main]) if len(granular) else None
-        pyramid = self._pyramid(opaque, x, ids, granular, parts[main], solid, main)
+        pyramid = self._pyramid(frame, opaque, x, ids, granular, parts[main], solid, main)
         rows = np.flatnonzero(bodies.fluid[ids] & is_near)
         medium, spray = self._medium(frame, index, ids, x, rows, parts[main])
         plane = ground_of(self.chosen, self.domain, pyramid, self.rig)
@@ -171,29 +171,29 @@ class Studio:
             float(floor),
         )  # fmt: skip
 
-    def _pyramid(self, opaque, x, ids, granular, part, solid, main):
+    def _pyramid(self, frame, opaque, x, ids, granular, part, solid, main):
         """Return the occlusion pyramid of bodies, scenery, sand and snow."""
         cells = self.chosen.light.cells if self.chosen.light else 150
         if self.quick:
             cells = max(int(PREVIEW_RESOLUTION * cells), 1)
         low, high = self.domain.low, self.domain.high
-        xs, volumes, colors = [], [], []
-        for k, g in enumerate(opaque):
-            if k > main:  # the bodies of carried Gaussians are included already
-                continue
+        cell = hiding.cell_size(low, high, cells)
+        xs, volumes, colors = [np.zeros((0, 3))], [np.zeros(0)], [np.zeros((0, 3))]
+        for k, g in enumerate(opaque[: main + 1]):  # the bodies of carried Gaussians included
             xs.append(g.x)
-            if k == main:
-                volumes.append(self.look.vol0[ids[solid]])
-            else:
-                volumes.append(self.bodies.scenery_volumes(hiding.cell_size(low, high, cells)))
+            volume = self.bodies.scenery_volumes(cell) if k < main else self.look.vol0[ids[solid]]
+            volumes.append(volume)
             colors.append(display.to_linear(np.clip(_base_color(g), 0, 1)))
+        if self.bodies.skins:
+            inside, filling = self.bodies.scenery_filling(cell, frame)
+            xs.append(inside)
+            volumes.append(filling.volume)
+            colors.append(colors[1][filling.parent])
         if len(granular):
             xs.append(x[granular])
             volumes.append(self.look.vol0[ids[granular]])
             colors.append(display.to_linear(np.clip(_base_color(part.subset_rows(granular)), 0, 1)))
-        points = np.concatenate(xs) if xs else np.zeros((0, 3))
-        volume = np.concatenate(volumes) if xs else np.zeros(0)
-        color = np.concatenate(colors) if xs else np.zeros((0, 3))
+        points, volume, color = map(np.concatenate, (xs, volumes, colors))
         return hiding.occlusion(points, volume, color, low, high, cells)
 
     def _medium(self, frame, index, ids, x, rows, part) -> tuple[Medium, tuple]:
@@ -289,8 +289,7 @@ class Studio:
         backdrop = self._background(picture, fine)
         view = view._replace(picture=backdrop.shape[0] > 1)
         splats, normal, kind = self._splats(moment, camera.eye)
-        painted = self._paint(splats, normal, kind, fine, view, options)
-        albedo, normals, kinds, transmit = painted
+        albedo, normals, kinds, transmit = self._paint(splats, normal, kind, fine, view, options)
         stage = Stage(moment.medium, moment.pyramid, self.rig, moment.plane, view)
         deferred_shading.shade_background(stage, backdrop, self.times)
         deferred_shading.shade_opaque(
@@ -310,20 +309,21 @@ class Studio:
         times = self.times
         limit = stage.buffers.depth
         if times > 1:
-            limit = limit.reshape(shape[0], times, shape[1], times).max(axis=(1, 3))
+            parts = [limit[j::times, k::times] for j in range(times) for k in range(times)]
+            limit = functools.reduce(np.maximum, parts)
         pixel = 1.0 / camera.fx
-        liquid_radiance.find_surface(stage, np.ascontiguousarray(limit), hits, normals, pixel)
+        liquid_radiance.find_surface(stage, limit, hits, normals, pixel)
         image, alpha, depth = np.empty((*shape, 3)), np.empty(shape), np.empty(shape, np.float32)
         hit_data = (drop_depth, drop_normal, hits, normals)
         keys = np.empty(shape, np.float32)
         flags = self.tone + (2 if self.chosen.background == "none" else 0)
         compositing.compose(stage, transmit, *hit_data, pixel, flags, image, alpha, depth, keys)
+        drawn = image, alpha, keys
         if self.edges > 1:
             marked = np.zeros(shape, np.bool_)
             if compositing.rough_pixels(stage, hits, normals, drop_depth, image, marked):
-                outputs = image, alpha, keys
                 compositing.refine(
-                    stage, transmit, *hit_data, marked, self.edges, pixel, flags, outputs
+                    stage, transmit, *hit_data, marked, self.edges, pixel, flags, drawn
                 )
         return image.astype(np.float32), alpha.astype(np.float32), depth
 

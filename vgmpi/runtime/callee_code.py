@@ -6,6 +6,10 @@ functions of a kernel pass the compiler once per level. Here a function that com
 linked into its callers as it is, and only what Python calls is optimized and translated, with all
 that it calls. No rounding depends on it: nothing is compiled with fastmath.
 
+What a kernel links in can also become its own (`KernelCompiler`): LLVM then inlines what is called
+once and leaves out unused arguments. With contraction of products and sums, the rounding would
+depend on it.
+
 `PRIVATE_PARTS` of tests/runtime/test_numba_parts.py lists what is used of numba that it does not
 document.
 """
@@ -15,7 +19,7 @@ from typing import Any
 
 import llvmlite.binding as llvm
 from numba.core import event, typing
-from numba.core.codegen import CPUCodeLibrary
+from numba.core.codegen import CPUCodeLibrary, JITCodeLibrary
 from numba.core.compiler import Compiler, CompileResult
 from numba.core.sigutils import normalize_signature
 
@@ -50,6 +54,33 @@ class CalleeCompiler(Compiler):
     def compile_extra(self, func: Any) -> CompileResult:
         """Compile a function and make its code known to those that call it."""
         return _introduced(super().compile_extra(func))
+
+
+class KernelLibrary(JITCodeLibrary):
+    """Module of a function that Python calls; nobody else calls what it links in."""
+
+    def _optimize_final_module(self) -> None:
+        """Optimize the module once the functions that were linked in are its own.
+
+        They get other names: the linker looks for those of other modules by name, and would find
+        these, whose arguments the optimization changes.
+        """
+        for function in self._final_module.functions:
+            if function.linkage is llvm.Linkage.linkonce_odr and not function.is_declaration:
+                function.linkage = llvm.Linkage.internal
+                function.name = f"{function.name}.{self.name}"
+        super()._optimize_final_module()
+
+
+class KernelCompiler(Compiler):
+    """numba's compiler of functions that only Python calls, which own what they link in."""
+
+    def compile_extra(self, func: Any) -> CompileResult:
+        """Compile a function with a library of its own."""
+        library = KernelLibrary(self.state.targetctx.codegen(), func.__qualname__)
+        library.enable_object_caching()
+        self.state.library = library
+        return super().compile_extra(func)
 
 
 def _introduced(result: CompileResult) -> CompileResult:

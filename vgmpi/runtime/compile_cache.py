@@ -32,7 +32,7 @@ from numba.core.serialize import dumps
 from numba.core.sigutils import normalize_signature
 
 from .cache_paths import user_folder
-from .callee_code import link_as_callee, rebuild_callee
+from .callee_code import KernelCompiler, link_as_callee, rebuild_callee
 from .compile_key import NoKeyError, compile_key, modules_of
 from .compile_lock import FileLock
 
@@ -42,14 +42,23 @@ CHECKSUM_BYTES = 4  # [bytes] CRC-32 of all that comes before it, at the end of 
 KEPT: set[str] = set()  # modules that have functions that are kept
 
 
-def njit_cached(**options: Any) -> Callable[[Callable], Any]:
-    """Return a decorator: `numba.njit` with these options, and machine code kept on disk."""
+def njit_cached(*, owns_callees: bool = False, **options: Any) -> Callable[[Callable], Any]:
+    """Return a decorator: `numba.njit` with these options, and machine code kept on disk.
+
+    Args:
+        owns_callees: Whether the function that Python calls owns the functions that it calls,
+            which is faster, but may round differently where products and sums are contracted.
+        **options: Options of `numba.njit`.
+    """
 
     def compiled(function: Callable) -> Any:
         """Compile a function when it is called, unless its code is on disk."""
-        dispatcher = njit(**options)(function)
+        compiler = {"pipeline_class": KernelCompiler} if owns_callees else {}
+        dispatcher = njit(**options, **compiler)(function)
         if hasattr(dispatcher, "_cache"):  # without NUMBA_DISABLE_JIT
-            cache = dispatcher._cache = ContentCache(function, dispatcher.targetoptions)
+            callees = {"callees": "owned and renamed"} if owns_callees else {}
+            cache = ContentCache(function, dispatcher.targetoptions | callees)
+            dispatcher._cache = cache
             dispatcher.compile = cache.releasing(dispatcher.compile)
             callee_options = dispatcher.targetoptions | {"linked": "as it is"}
             link_as_callee(dispatcher, ContentCache(function, callee_options, rebuild_callee))

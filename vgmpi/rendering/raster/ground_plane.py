@@ -101,7 +101,7 @@ def cast_shadow(splats: ProjectableGaussians, floor: GroundPlane) -> Shadow:
     )
     canvas = new_canvas(rows, columns)
     order = np.arange(len(dropped[0]))  # transmittance is a product: any order is valid
-    blend_tiles(order, *dropped, canvas, -(-columns // TILE), False, None, None)
+    blend_tiles(order, *dropped, canvas, -(-columns // TILE), False, None, None, None)
     light, colors = np.empty((rows, columns), np.float32), np.empty((rows, columns, 3), np.float32)
     picture(canvas, np.broadcast_to(np.float32(0), colors.shape), colors, light)
     return Shadow(light, lower, pixel)

@@ -88,6 +88,7 @@ class LayeredImage:
             depths,
             side,
             None,
+            None,
         )
         return canvas
 
@@ -123,15 +124,18 @@ class LayeredImage:
             transmittance and median depth [m], shape (height, width), float32.
         """
         ellipses, looks, bounds = self.rows
-        surface = np.empty((len(self.z), 7), np.float32)
-        surface[:, :3], surface[:, 3:6] = normal[self.visible_ids], material[self.visible_ids]
-        surface[:, 6] = self.z
-        canvas, drawn = surface_canvas(surface, *self.shape)
+        material = material[self.visible_ids].astype(np.float32)
+        is_mixed = len(material) > 0 and bool((material != material[0]).any())
+        only = material[0] if len(material) else np.zeros(3, np.float32)
+        canvas, drawn = surface_canvas(normal[self.visible_ids], self.z, is_mixed, *self.shape)
         nx = -(-self.shape[1] // TILE)
-        blend_tiles(self.order, ellipses, looks, bounds, canvas, nx, False, None, drawn)
+        blend_tiles(
+            self.order, ellipses, looks, bounds, canvas, nx, False, None, drawn,
+            material if is_mixed else None,
+        )  # fmt: skip
         pictures = np.zeros((3, *self.shape, 3), np.float32)
         through, median = (np.full(self.shape, n, np.float32) for n in (1, np.inf))
-        surfaces_of(canvas, drawn.is_drawn, pictures, through, median)
+        surfaces_of(canvas, drawn.is_drawn, only, pictures, through, median)
         return *pictures, through, median
 
     def depth(self, limit=None) -> np.ndarray:

@@ -154,7 +154,7 @@ def _render(splats, camera, background, *, lowpass, antialias, alpha_min, depth)
     )
     order, nx = depth_order(z), -(-camera.width // TILE)
     canvas = new_canvas(*shape)
-    blend_tiles(order, ellipses, looks, bounds, canvas, nx, False, None, None)
+    blend_tiles(order, ellipses, looks, bounds, canvas, nx, False, None, None, None)
     image = np.empty((*shape, 3), dtype=np.float32)
     transmittance = np.empty(shape, dtype=np.float32)
     picture(canvas, background, image, transmittance)
@@ -163,7 +163,7 @@ def _render(splats, camera, background, *, lowpass, antialias, alpha_min, depth)
     # a second pass draws depths for colors, so that pictures alone pay nothing for it
     looks[:, 2] = z
     canvas = new_canvas(*shape)
-    blend_tiles(order, ellipses, looks, bounds, canvas, nx, True, None, None)
+    blend_tiles(order, ellipses, looks, bounds, canvas, nx, True, None, None, None)
     depth_images = {kind: np.empty(shape, dtype=np.float32) for kind in DEPTHS}
     depths_of(canvas, depth_images["expected"], depth_images["median"])
     return image, transmittance, depth_images[depth]

@@ -8,15 +8,16 @@ from vgmpi.runtime.compile_cache import njit_cached
 
 from .tile_blend import TILE, uncleared_canvas
 
-NUMBERS = 11  # of a pixel: transmittance, color, normal, material and median depth
-_HALF = np.float32(0.5)
+NUMBERS = 8  # of a pixel: transmittance, color, normal and median depth
+MATERIALS = 3  # further numbers of a pixel if the Gaussians are of several materials
+_HALF, _ONE = np.float32(0.5), np.float32(1)
 
 
 class Surfaces(NamedTuple):
-    """Normals, materials and depths of surfaces, whose canvas is cleared where they are drawn.
+    """Normals and depths of surfaces, whose canvas is cleared where they are drawn.
 
     Attributes:
-        rows: Normals, materials and depths of the Gaussians, shape (n, 7) float32.
+        rows: Normals and depths of the Gaussians, shape (n, 4) float32.
         is_drawn: (out) Whether a tile was touched, shape (tiles,) uint8.
         shape: Height and width of the picture [pixels].
     """
@@ -26,39 +27,55 @@ class Surfaces(NamedTuple):
     shape: tuple[int, int]
 
 
-def surface_canvas(rows: np.ndarray, height: int, width: int) -> tuple[np.ndarray, Surfaces]:
-    """Return a canvas that is not cleared yet for surfaces of rows (n, 7), and these."""
-    canvas = uncleared_canvas(height, width, NUMBERS)
+def surface_canvas(
+    normal: np.ndarray, depth: np.ndarray, is_mixed: bool, height: int, width: int
+) -> tuple[np.ndarray, Surfaces]:
+    """Return a canvas that is not cleared yet, and the surfaces to draw on it.
+
+    Args:
+        normal: Of every Gaussian, shape (n, 3).
+        depth: Their depths, shape (n,) [m].
+        is_mixed: Whether they are of several materials.
+        height, width: Size of the picture [pixels].
+    """
+    rows = np.empty((len(depth), 4), np.float32)
+    rows[:, :3], rows[:, 3] = normal, depth
+    canvas = uncleared_canvas(height, width, NUMBERS + (MATERIALS if is_mixed else 0))
     return canvas, Surfaces(rows, np.zeros(len(canvas), np.uint8), (height, width))
 
 
 @njit_cached(nogil=True, error_model="numpy")
-def surfaces_of(canvas, is_drawn, pictures, transmittance, median):
+def surfaces_of(canvas, is_drawn, only, pictures, transmittance, median):
     """Write a canvas of surfaces to pictures.
 
     Args:
         canvas, is_drawn: Canvas, and which of its tiles were drawn.
+        only: Material of all surfaces if it is one, shape (3,) float32.
         pictures: (out) Color, normal and material weighted by opacity, three of zeros, shape
             (height, width, 3).
         transmittance, median: (out) Transmittance, ones, and median depth, infinite where more
             than half of the light passes, shape (height, width).
     """
     height, width = transmittance.shape
-    nx = (width + TILE - 1) // TILE
+    nx, row = (width + TILE - 1) // TILE, canvas.shape[1] // TILE
+    is_mixed, is_zero = row > NUMBERS * TILE, not only.any()
     for t in range(len(canvas)):
         if not is_drawn[t]:
             continue
         left, top, tile = (t % nx) * TILE, (t // nx) * TILE, canvas[t]
-        count = min(TILE, width - left)
         for j in range(min(TILE, height - top)):
-            start = j * NUMBERS * TILE
-            for k in range(count):
-                through = abs(tile[start + k])
-                transmittance[top + j, left + k] = through
+            for k in range(min(TILE, width - left)):
+                y, x, start = top + j, left + k, j * row + k
+                through = abs(tile[start])
+                transmittance[y, x] = through
                 if through <= _HALF:
-                    median[top + j, left + k] = tile[start + 10 * TILE + k]
-            for k in range(count):
-                for n in range(3):
+                    median[y, x] = tile[start + 7 * TILE]
+                for c in range(3):
+                    pictures[0, y, x, c] = tile[start + (1 + c) * TILE]
+                    pictures[1, y, x, c] = tile[start + (4 + c) * TILE]
+                if is_mixed:
                     for c in range(3):
-                        index = start + (3 * n + c + 1) * TILE + k
-                        pictures[n][top + j, left + k, c] = tile[index]
+                        pictures[2, y, x, c] = tile[start + (8 + c) * TILE]
+                elif not is_zero:
+                    for c in range(3):
+                        pictures[2, y, x, c] = (_ONE - through) * only[c]

@@ -157,11 +157,12 @@ def _blend_depth_row(buf, start, first, a, b, c, opacity, level, depth, limits, 
 
 
 @njit_cached(nogil=True, error_model="numpy", fastmath={"contract", "nsz", "nnan", "ninf"})
-def _blend_surface_row(buf, start, first, a, b, c, opacity, level, color, surface):
-    """Blend a Gaussian's color (3,) and its normal, material and depth (7,) into a row."""
+def _blend_surface_row(buf, start, first, a, b, c, opacity, level, color, surface, material):
+    """Blend a Gaussian's color (3,), normal and depth (4,) and maybe material (3,) into a row."""
     red, green, blue = color
-    u, v, w = surface[0], surface[1], surface[2]
-    sand, snow, captured, depth = surface[3], surface[4], surface[5], surface[6]
+    u, v, w, depth = surface[0], surface[1], surface[2], surface[3]
+    if material is not None:
+        sand, snow, captured = material[0], material[1], material[2]
     if start < 0:
         return
     for k in range(TILE):
@@ -179,20 +180,23 @@ def _blend_surface_row(buf, start, first, a, b, c, opacity, level, color, surfac
         buf[start + 4 * TILE + k] += share * u
         buf[start + 5 * TILE + k] += share * v
         buf[start + 6 * TILE + k] += share * w
-        buf[start + 7 * TILE + k] += share * sand
-        buf[start + 8 * TILE + k] += share * snow
-        buf[start + 9 * TILE + k] += share * captured
         crossing = (before > _HALF) & (after <= _HALF)
-        buf[start + 10 * TILE + k] = depth if crossing else buf[start + 10 * TILE + k]
+        buf[start + 7 * TILE + k] = depth if crossing else buf[start + 7 * TILE + k]
+        if material is not None:
+            buf[start + 8 * TILE + k] += share * sand
+            buf[start + 9 * TILE + k] += share * snow
+            buf[start + 10 * TILE + k] += share * captured
 
 
 @njit_cached(nogil=True, error_model="numpy")
-def _draw_tile(buf, items, ellipses, looks, left, top, depths, limits, z, is_behind, surface):
+def _draw_tile(
+    buf, items, ellipses, looks, left, top, depths, limits, z, is_behind, surface, materials
+):
     """Draw the Gaussians of a batch in one tile and return whether any pixel is still open.
 
     depths: whether `looks` hold a depth for red, and depths are drawn instead of colors. limits,
-    z, is_behind: as for a row, with the depths of all Gaussians of the batch. surface: None, or
-    normals, materials and depths of all Gaussians of the batch, which are drawn too.
+    z, is_behind: as for a row, with the depths of all Gaussians of the batch. surface, materials:
+    None, or normals and depths, and materials of all Gaussians of the batch, which are drawn too.
     """
     row = len(buf) // TILE
     first, last = _open_rows(buf)
@@ -217,13 +221,14 @@ def _draw_tile(buf, items, ellipses, looks, left, top, depths, limits, z, is_beh
         fa, fb, fc = np.float32(a), np.float32(b), np.float32(c)
         opacity, level, red, green, blue = looks[p]
         color, own = (red, green, blue), None if limits is None else z[p]
+        material = None if materials is None else materials[p]
         for j in range(y0, y1 + 1):
             Y = np.float32(j) + first_y
             constant = s0 + Y * (sy + fc * Y)
             if surface is not None:
                 _blend_surface_row(
                     buf, j * row, first_x, fa, sx + fb * Y, constant, opacity, level, color,
-                    surface[p],
+                    surface[p], material,
                 )  # fmt: skip
             elif depths:
                 _blend_depth_row(
@@ -292,13 +297,14 @@ def _touch_open_tiles(order, bounds, is_open, nx, boxes, chosen, starts):
 
 
 @njit_cached(nogil=True, error_model="numpy")
-def blend_tiles(order, ellipses, looks, bounds, canvas, nx, depths, side, surface):
+def blend_tiles(order, ellipses, looks, bounds, canvas, nx, depths, side, surface, materials):
     """Blend Gaussians (see project) into a canvas (tiles, numbers), nx tiles wide.
 
     Args:
         order, ellipses, looks, bounds: Order from near to far; rows of `ProjectedGaussians`.
         canvas, nx, depths, side: (in/out), width in tiles, whether red is a depth, Side or None.
         surface: None, or Surfaces with their canvas.
+        materials: Their materials, shape (n, 3), or None if all have one.
     """
     tiles = len(canvas)
     is_open = np.ones(tiles, dtype=np.uint8)
@@ -324,6 +330,7 @@ def blend_tiles(order, ellipses, looks, bounds, canvas, nx, depths, side, surfac
         _assign_tiles(boxes[:active], is_open, nx, fill, items)
         depth = None if side is None else side.depth[chosen[:active]]
         own_surface = None if surface is None else surface.rows[chosen[:active]]
+        own_materials = None if materials is None else materials[chosen[:active]]
         for t in range(tiles):
             if starts[t + 1] > starts[t]:
                 own = items[starts[t] : starts[t + 1]]
@@ -334,12 +341,12 @@ def blend_tiles(order, ellipses, looks, bounds, canvas, nx, depths, side, surfac
                 if side is None:
                     is_open[t] = _draw_tile(
                         canvas[t], own, batch[0], batch[1], left, top, depths, None, None, None,
-                        own_surface,
+                        own_surface, own_materials,
                     )  # fmt: skip
                 else:
                     is_open[t] = _draw_tile(
                         canvas[t], own, batch[0], batch[1], left, top, depths,
-                        side.limit[t], depth, side.is_behind, own_surface,
+                        side.limit[t], depth, side.is_behind, own_surface, own_materials,
                     )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from vgmpi.runtime.compile_cache import njit_cached
 
-from .compile_options import LEAF, RAY
+from .compile_options import KERNEL, LEAF, RAY
 from .liquid_radiance import direction, shade_ray
 from .ray_marching import first_hit
 from .spray_drops import shade_drop
@@ -132,7 +132,7 @@ def _has_drop(drop_depth, j, k, times):
     return False
 
 
-@njit_cached(nogil=True, error_model="numpy")
+@njit_cached(**KERNEL)
 def compose(
     stage, left, drop_depth, drop_normal, hits, normals, pixel, flags, image, alpha, depth, keys
 ):
@@ -158,6 +158,8 @@ def compose(
         for k in range(width):
             wet, is_drawn = abs(hits[j, k]) < 1e30, False
             out[7] = -1.0
+            for m in range(3):
+                out[4 + m] = normals[j, k, m]
             if wet or _has_drop(drop_depth, j, k, times):
                 size = direction(view, (k + 0.5) / width, (j + 0.5) / height, d)
                 u, v = j * times + times // 2, k * times + times // 2
@@ -240,6 +242,7 @@ def _sample(stage, left, drops, position, pixel, blur, flags, d, p, work, out):
         stage.medium.field, view.eye[0], view.eye[1], view.eye[2], d[0], d[1], d[2],
         view.lens[4], view.depth[j, k] * size,
     )  # fmt: skip
+    out[4] = out[5] = out[6] = 0.0
     _ray(stage, *drops, hit, wall, pixel, blur, (j, k, size), d, p, work, out)
     if out[3] < 0.0:
         out[3] = left[j, k]
@@ -247,7 +250,17 @@ def _sample(stage, left, drops, position, pixel, blur, flags, d, p, work, out):
     return red, green, blue, out[3]
 
 
-@njit_cached(nogil=True, error_model="numpy")
+@njit_cached(**LEAF)
+def _shows_liquid(view, drop_depth, hits, j, k, d):
+    """Return whether the central ray of a pixel meets the liquid first. d: scratch, shape (3,)."""
+    height, width = hits.shape
+    times = view.depth.shape[0] // height
+    u, v = j * times + times // 2, k * times + times // 2
+    size = direction(view, (k + 0.5) / width, (j + 0.5) / height, d)
+    return drop_depth[u, v] > 1e6 and abs(hits[j, k]) < view.depth[u, v] * size
+
+
+@njit_cached(**KERNEL)
 def refine(
     stage,
     left,
@@ -263,7 +276,8 @@ def refine(
 ):
     """Draw the marked pixels again with samples x samples rays each.
 
-    The rays of a lattice's diagonal are first; where they agree they are enough.
+    The rays of a lattice's diagonal are first; where they agree they are enough. If there is a
+    central ray, it is that of `compose`.
 
     Args:
         stage, left, drop_depth, drop_normal, hits, normals, pixel, flags: See `compose`.
@@ -283,17 +297,25 @@ def refine(
             blur = change_of_normal(hits, normals, j, k) if abs(hits[j, k]) < 1e30 else 0.3
             total[:], low[:], high[:] = 0.0, 1e9, -1e9
             out[7], count = keys[j, k], 0  # all rays of a pixel share the key light
+            is_central = keys[j, k] >= 0.0 and _shows_liquid(
+                stage.buffers, drop_depth, hits, j, k, d
+            )
             for n in range(samples * samples):
                 a, b = n % samples, (n + n // samples) % samples
                 if n == samples and max(
                     high[0] - low[0], high[1] - low[1], high[2] - low[2], high[3] - low[3]
                 ) < AGREE:  # fmt: skip
                     break
-                position = (
-                    (j + (a + (b + 0.5) / samples) / samples) / height,
-                    (k + (b + (a + 0.5) / samples) / samples) / width,
-                )
-                values = _sample(stage, left, drops, position, pixel, blur, flags, d, p, work, out)
+                if is_central and 2 * a + 1 == samples and a == b:
+                    values = image[j, k, 0], image[j, k, 1], image[j, k, 2], alpha[j, k]
+                else:
+                    position = (
+                        (j + (a + (b + 0.5) / samples) / samples) / height,
+                        (k + (b + (a + 0.5) / samples) / samples) / width,
+                    )
+                    values = _sample(
+                        stage, left, drops, position, pixel, blur, flags, d, p, work, out
+                    )
                 for m in range(4):
                     total[m] += values[m]
                     low[m], high[m] = min(low[m], values[m]), max(high[m], values[m])

@@ -265,6 +265,15 @@ def clip(low, high, p0, p1, p2, d0, d1, d2):
     return begin, end
 
 
+@njit_cached(**LEAF)
+def _entry(pyramid, p0, p1, p2, d0, d1, d2):
+    """Return the distance at which a ray enters the pyramid [m], 0 if it starts there."""
+    low, high = pyramid.lower, pyramid.upper
+    if low[0] <= p0 <= high[0] and low[1] <= p1 <= high[1] and low[2] <= p2 <= high[2]:
+        return 0.0
+    return clip(low, high, p0, p1, p2, d0, d1, d2)[0]
+
+
 @njit_cached(**RAY)
 def cone(pyramid, p0, p1, p2, d0, d1, d2, tangent, start, extinction):
     """Return the transmittance of light along a cone, 0..1.
@@ -276,12 +285,11 @@ def cone(pyramid, p0, p1, p2, d0, d1, d2, tangent, start, extinction):
         start: Distance from which on objects occlude [m].
         extinction: Extinction per width of the cone.
     """
-    begin, end = clip(pyramid.lower, pyramid.upper, p0, p1, p2, d0, d1, d2)
     box = pyramid.occupied
-    clear, last_distance = clip(box[:3], box[3:], p0, p1, p2, d0, d1, d2)
-    if clear > last_distance:
+    clear, end = clip(box[:3], box[3:], p0, p1, p2, d0, d1, d2)
+    if clear > end:
         return 1.0
-    t, end, depth = max(start, begin), min(end, last_distance), 0.0
+    t, depth = max(start, _entry(pyramid, p0, p1, p2, d0, d1, d2)), 0.0
     cell, last = pyramid.cell, len(pyramid.offsets) - 1
     q, size = 0, cell
     while t < end and depth < OPAQUE:
@@ -323,12 +331,11 @@ def wide_cone(pyramid, p0, p1, p2, d0, d1, d2, tangent, start):
         tangent: Half width per distance.
         start: Distance from which on objects occlude [m].
     """
-    begin, end = clip(pyramid.lower, pyramid.upper, p0, p1, p2, d0, d1, d2)
     box = pyramid.occupied
-    clear, last_distance = clip(box[:3], box[3:], p0, p1, p2, d0, d1, d2)
-    if clear > last_distance:
+    clear, end = clip(box[:3], box[3:], p0, p1, p2, d0, d1, d2)
+    if clear > end:
         return 1.0
-    t, end, depth = max(start, begin), min(end, last_distance), 0.0
+    t, depth = max(start, _entry(pyramid, p0, p1, p2, d0, d1, d2)), 0.0
     cell, last = pyramid.cell, len(pyramid.offsets) - 1
     widest = cell * (1 << last)
     q, size = 0, cell
@@ -360,9 +367,10 @@ def leap(pyramid, x, y, z):
         x, y, z: Point [m].
     """
     size = 2.0 * pyramid.cell
-    i = int((x - pyramid.lower[0]) / size)
-    j = int((y - pyramid.lower[1]) / size)
-    k = int((z - pyramid.lower[2]) / size)
+    scale = 1.0 / size
+    i = int((x - pyramid.lower[0]) * scale)
+    j = int((y - pyramid.lower[1]) * scale)
+    k = int((z - pyramid.lower[2]) * scale)
     n = pyramid.leap.shape
     if i < 0 or j < 0 or k < 0 or i >= n[0] or j >= n[1] or k >= n[2]:
         return 1e9

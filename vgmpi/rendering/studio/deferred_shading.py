@@ -1,26 +1,28 @@
 """Deferred shading of opaque surfaces from painted albedo, normal, material kind and depth.
 
-Where the pixels of a block show the same surface, occlusion is evaluated once for all of them.
+Where the pixels of a block show the same surface, they share their light, which is interpolated
+between blocks where it is even (tile_light.py).
 """
 
 import numpy as np
 
 from vgmpi.runtime.compile_cache import njit_cached
 
-from .compile_options import LEAF, RAY
+from .compile_options import KERNEL, LEAF, RAY
 from .cone_occlusion import EXTINCTION, cone
-from .light_rig import ambient
 from .liquid_radiance import direction
-from .ray_marching import liquid_depth, rho_at
+from .optical_depth import liquid_depth
+from .ray_marching import rho_at
 from .studio_ground import NONE, SHADOW, backdrop, ground_color, ground_light
+from .tile_light import HAZE, NUMBERS, TILE, light_at, light_tile, painted_normal
 
 WRAP = 0.12  # [-] wrap lighting of the key; more on sand and snow
-HAZE = 0.65, 0.6  # [-] fraction of sky light absorbed by the liquid, factor on its depth
 TURNED = 0.5  # [-] fraction of the key lost beside a liquid by total reflection
+ALIKE = 0.9  # [-] cosine between normals of a block above which pixels share their light
 BRIGHTEST = 1.15  # [-] largest factor of the studio's light on a captured color
 
 
-@njit_cached(nogil=True, error_model="numpy")
+@njit_cached(**KERNEL)
 def shade_background(stage, picture, block):
     """Fill in view.background: ground, backdrop, or a picture with the shadow on it.
 
@@ -60,7 +62,7 @@ def shade_background(stage, picture, block):
                         view.background[j, k, m] = light[m] * below
 
 
-@njit_cached(nogil=True, error_model="numpy")
+@njit_cached(**KERNEL)
 def tint_ground(stage):
     """Attenuate the ground's light by the liquid's absorption on its way to the ground."""
     plane, medium, rig = stage.plane, stage.medium, stage.rig
@@ -91,45 +93,6 @@ def tint_ground(stage):
                 plane.light[j, k, m] = direct * passes + ambient_light * (
                     1.0 - HAZE[0] + HAZE[0] * np.exp(-HAZE[1] * depth[m])
                 )
-
-
-@njit_cached(**RAY)
-def light_at(stage, p, n, sand, liquid, key, sky, work):
-    """Evaluate the light on a surface at p (3,) with unit normal n (3,).
-
-    Args:
-        stage: The scene.
-        p, n: Point [m] and unit normal, shape (3,).
-        sand: Fraction of sand, whose grains shade themselves less.
-        liquid: Whether there is any liquid.
-        key: (out) Incoming light of the key before the cosine, shape (3,).
-        sky: (out) Ambient light, shape (3,).
-        work: Scratch, shape (11,).
-
-    Returns:
-        Open fraction of the hemisphere, 0..1.
-    """
-    g, rig, pyramid = stage.pyramid.cell, stage.rig, stage.pyramid
-    openness = ambient(
-        pyramid, rig, p[0] + 2.6 * g * n[0], p[1] + 2.6 * g * n[1], p[2] + 2.6 * g * n[2],
-        n[0], n[1], n[2], stage.plane.height, 1.195 * g, sky,
-    )  # fmt: skip
-    a, b = g + 1.5 * g * (1.0 - 0.5 * sand), 0.75 * g * (1.0 - 0.5 * sand)
-    visibility = cone(
-        pyramid, p[0] + a * n[0] + b * rig.toward[0], p[1] + a * n[1] + b * rig.toward[1],
-        p[2] + a * n[2] + b * rig.toward[2], rig.toward[0], rig.toward[1], rig.toward[2],
-        rig.width, g, EXTINCTION,
-    )  # fmt: skip
-    for m in range(3):
-        key[m] = rig.key[m] * visibility
-    if liquid:
-        depth, values = work[:3], work[3:]
-        path_length = liquid_depth(stage.medium, p, rig.toward, depth, values)
-        if path_length > 0.0:
-            for m in range(3):
-                key[m] *= np.exp(-depth[m])
-                sky[m] *= 1.0 - HAZE[0] + HAZE[0] * np.exp(-HAZE[1] * depth[m])
-    return openness
 
 
 @njit_cached(**LEAF)
@@ -183,7 +146,7 @@ def surface_light(rig, d, n, albedo, kind, gloss, captures, key, sky, openness, 
         out[m] = new
 
 
-@njit_cached(nogil=True, error_model="numpy")
+@njit_cached(**KERNEL)
 def shade_opaque(stage, albedo, normal, kinds, left, block, liquid, captures):
     """Fill in view.light with opaque surfaces over view.background.
 
@@ -197,84 +160,82 @@ def shade_opaque(stage, albedo, normal, kinds, left, block, liquid, captures):
         liquid: Whether there is any liquid.
         captures: Strength of the studio's light on captures, 0..1.
     """
-    view, rig = stage.buffers, stage.rig
-    height, width = view.depth.shape
-    n, mean, p, d = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    key, sky, kind, color, out = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    work, thick, openness = np.empty(11), 3.0 * stage.pyramid.cell, 1.0
-    for j0 in range(0, height, block):
-        for k0 in range(0, width, block):
-            j1, k1 = min(j0 + block, height), min(k0 + block, width)
-            z = _shared_depth(view.depth, normal, left, (j0, j1, k0, k1), thick, n, mean)
-            shared = z > 0.0
-            if shared:
-                s = direction(view, 0.5 * (k0 + k1) / width, 0.5 * (j0 + j1) / height, d)
-                for m in range(3):
-                    p[m] = view.eye[m] + z * s * d[m]
-                openness = light_at(stage, p, mean, kinds[j0, k0, 0], liquid, key, sky, work)
-            for j in range(j0, j1):
-                for k in range(k0, k1):
-                    through = left[j, k]
-                    cover = 1.0 - through
-                    for m in range(3):
-                        view.light[j, k, m] = through * view.background[j, k, m]
-                    if cover < 0.003:
-                        continue
-                    s = direction(view, (k + 0.5) / width, (j + 0.5) / height, d)
-                    _painted_normal(normal, cover, j, k, n)
-                    for m in range(3):
-                        kind[m] = kinds[j, k, m] / cover
-                        color[m] = albedo[j, k, m] / cover
-                    if not shared:
-                        z = _depth_near(view.depth, j, k)
-                        for m in range(3):
-                            p[m] = view.eye[m] + z * s * d[m]
-                        openness = light_at(stage, p, n, kind[0], liquid, key, sky, work)
-                    gloss = max(1.0 - kind[0] - kind[1] - kind[2], 0.0)
-                    surface_light(rig, d, n, color, kind, gloss, captures, key, sky, openness, out)
-                    for m in range(3):
-                        view.light[j, k, m] += cover * out[m]
+    height, width = stage.buffers.depth.shape
+    tile = (
+        np.empty((TILE, TILE, NUMBERS)), np.empty((TILE, TILE, 3)), np.empty((TILE, TILE, 1)),
+        np.empty((TILE, TILE), np.bool_),
+    )  # fmt: skip
+    surface, near = np.empty((6, 3)), np.empty((4, 12))
+    work, thick = np.empty(17), 3.0 * stage.pyramid.cell
+    painted = albedo, normal, kinds, left
+    for j0 in range(0, height, TILE * block):
+        for k0 in range(0, width, TILE * block):
+            light_tile(stage, painted[1:], (j0, k0, block), thick, liquid, tile, work)
+            for a in range(TILE):
+                for b in range(TILE):
+                    corner = j0 + a * block, k0 + b * block, block
+                    _shade_block(
+                        stage, painted, corner, tile[0][a, b], thick, liquid, captures, surface,
+                        near, work,
+                    )  # fmt: skip
 
 
-@njit_cached(**LEAF)
-def _shared_depth(depth, normal, left, block, thickness, n, mean):
-    """Return the depth of a block of pixels that shows one surface, or 0.
+@njit_cached(**RAY)
+def _shade_block(stage, painted, corner, light, thickness, liquid, captures, surface, near, work):
+    """Shade the pixels of a block.
 
-    block: first and last row, first and last column. thickness: of one surface [m]. n: (3,)
-    scratch. mean: (3,) out, normal of the surface.
+    painted, liquid, captures: see `shade_opaque`. corner: first row and column, pixels along a
+    side. light, thickness: see `light_tile`. surface, near, work: scratch of shapes (6, 3), (4, 12)
+    and (17,).
     """
-    low, high, count = 1e30, 0.0, 0
-    mean[0] = mean[1] = mean[2] = 0.0
-    for j in range(block[0], block[1]):
-        for k in range(block[2], block[3]):
-            cover = 1.0 - left[j, k]
-            if not (cover > 0.5 and depth[j, k] < 1e6):
-                return 0.0
-            count += 1
-            low, high = min(low, depth[j, k]), max(high, depth[j, k])
-            _painted_normal(normal, cover, j, k, n)
+    albedo, normal, kinds, left = painted
+    view, rig, known = stage.buffers, stage.rig, 0
+    height, width = view.depth.shape
+    n, p, d, kind, color, out = (
+        surface[0], surface[1], surface[2], surface[3], surface[4], surface[5],
+    )  # fmt: skip
+    for j in range(corner[0], min(corner[0] + corner[2], height)):
+        for k in range(corner[1], min(corner[1] + corner[2], width)):
+            through = left[j, k]
+            cover = 1.0 - through
             for m in range(3):
-                mean[m] += n[m]
-    size = np.sqrt(mean[0] ** 2 + mean[1] ** 2 + mean[2] ** 2)
-    if high - low >= thickness or size <= 0.9 * count:
-        return 0.0
-    for m in range(3):
-        mean[m] /= size
-    return 0.5 * (low + high)
+                view.light[j, k, m] = through * view.background[j, k, m]
+            if cover < 0.003:
+                continue
+            s = direction(view, (k + 0.5) / width, (j + 0.5) / height, d)
+            painted_normal(normal, cover, j, k, n)
+            for m in range(3):
+                kind[m] = kinds[j, k, m] / cover
+                color[m] = albedo[j, k, m] / cover
+            own = light
+            if light[0] <= 0.0:
+                z = _depth_near(view.depth, j, k)
+                slot = _like_surface(near, known, z, n, kind[0], thickness)
+                own = near[slot]
+                if slot == known:
+                    known = min(known + 1, len(near) - 1)
+                    for m in range(3):
+                        p[m] = view.eye[m] + z * s * d[m]
+                        own[8 + m] = n[m]
+                    own[0], own[11] = z, kind[0]
+                    own[7] = light_at(stage, p, n, kind[0], liquid, own[1:4], own[4:7], work)
+            gloss = max(1.0 - kind[0] - kind[1] - kind[2], 0.0)
+            surface_light(rig, d, n, color, kind, gloss, captures, own[1:4], own[4:7], own[7], out)
+            for m in range(3):
+                view.light[j, k, m] += cover * out[m]
 
 
 @njit_cached(**LEAF)
-def _painted_normal(normal, cover, j, k, n):
-    """Write the unit normal of a painted pixel to n (3,)."""
-    size = 0.0
-    for m in range(3):
-        n[m] = normal[j, k, m] / cover * 2.0 - 1.0
-        size += n[m] * n[m]
-    if size < 1e-9:  # surfaces without a normal face upwards
-        n[0], n[1], n[2], size = 0.0, 0.0, 1.0, 1.0
-    size = 1.0 / np.sqrt(size)
-    for m in range(3):
-        n[m] *= size
+def _like_surface(near, known, z, n, sand, thickness):
+    """Return which surface of a block, whose light is known, a pixel shows; `known` for none.
+
+    near: depth, light (7), normal (3) and fraction of sand of each. z, n, sand: of the pixel.
+    """
+    for q in range(known):
+        dot = n[0] * near[q, 8] + n[1] * near[q, 9] + n[2] * near[q, 10]
+        if abs(z - near[q, 0]) < thickness and dot > ALIKE and abs(sand - near[q, 11]) < 0.1:
+            return q
+    return known
 
 
 @njit_cached(**RAY)

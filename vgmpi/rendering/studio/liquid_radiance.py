@@ -10,7 +10,7 @@ import numpy as np
 
 from vgmpi.runtime.compile_cache import njit_cached
 
-from .compile_options import LEAF, RAY
+from .compile_options import KERNEL, LEAF, RAY
 from .cone_occlusion import EXTINCTION, cone
 from .environment_radiance import far_light
 from .light_rig import mirrored_sky, smooth
@@ -102,13 +102,16 @@ def shade_ray(stage, p, d, wall, pixel, blur, work, out):
         p, d: Point of entry [m] and direction of the ray, shape (3,).
         wall: Whether the ray enters through a wall.
         pixel, blur: Width of a pixel at the point [m], and change of the normal over it.
-        out: (in/out) Light, transmittance to the background, unit normal, and the visible
-            fraction of the key, below 0 where it is not known yet, shape (8,).
+        out: (in/out) Light, transmittance to the background, unit normal, 0 where it is not known
+            yet, and the visible fraction of the key, below 0 where it is not, shape (8,).
     """
     medium, rig = stage.medium, stage.rig
     n, r, t = work[26:29], work[29:32], work[32:35]
     col, depth, own = work[35:38], work[38:41], work[60:69]
-    surface_normal(medium.field, p, 0.6 * pixel, n)
+    for m in range(3):
+        n[m] = out[4 + m]
+    if n[0] == 0.0 and n[1] == 0.0 and n[2] == 0.0:
+        surface_normal(medium.field, p, 0.6 * pixel, n)
     cosine = min(max(-(d[0] * n[0] + d[1] * n[1] + d[2] * n[2]), 0.02), 1.0)
     reflectance, inner = fresnel(cosine, medium.index)
     for m in range(3):
@@ -155,9 +158,10 @@ def shade_ray(stage, p, d, wall, pixel, blur, work, out):
 @njit_cached(**RAY)
 def look_up_tint(tint, q, values):
     """Write the mean values of the liquid's particles around q (3,) to values (9,)."""
+    c = 1.0 / tint.cell
     trilinear_values(
-        tint.values, (q[0] - tint.lower[0]) / tint.cell, (q[1] - tint.lower[1]) / tint.cell,
-        (q[2] - tint.lower[2]) / tint.cell, CHANNELS, values,
+        tint.values, (q[0] - tint.lower[0]) * c, (q[1] - tint.lower[1]) * c,
+        (q[2] - tint.lower[2]) * c, CHANNELS, values,
     )  # fmt: skip
 
 
@@ -240,7 +244,7 @@ def _through(stage, q, t, blur, depth, work, out):
     return fraction, 1.0 if is_straight and stage.plane.kind == NONE else 0.0, total
 
 
-@njit_cached(nogil=True, error_model="numpy")
+@njit_cached(**KERNEL)
 def find_surface(stage, opaque_depth, hits, normals, pixel):
     """Find the first surfaces of the pixels' central rays.
 

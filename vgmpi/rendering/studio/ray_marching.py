@@ -16,6 +16,7 @@ from .environment_radiance import opaque_at
 from .value_grid import trilinear_values
 
 STEP = 0.8  # [cells] step at the surface
+ABSORBING = 4.0  # [cells of the tint] longest part of a ray with one absorption
 LONGER = 2.0  # [-] relative growth of the step per density difference to the surface
 SMOOTH = 1.0  # [cells] least half width of the differences of a normal
 SECANTS = 6  # [-] iterations in search of a crossing
@@ -38,12 +39,19 @@ def in_box(box, x, y, z):
 
 
 @njit_cached(**LEAF)
-def brick_leap(field, u, v, w, d0, d1, d2, inside):
+def inverse(d):
+    """Return the inverse of a component of a direction, 0 for none."""
+    return 1.0 / d if abs(d) > 1e-9 else 0.0
+
+
+@njit_cached(**LEAF)
+def brick_leap(field, u, v, w, r0, r1, r2, inside):
     """Return a distance along which a ray surely stays outside, or inside, of the liquid.
 
     Args:
         field, inside: The field, and whether the ray is in the liquid.
-        u, v, w, d0, d1, d2: The ray.
+        u, v, w: Point of the ray.
+        r0, r1, r2: Inverse components of its direction (`inverse`).
 
     Returns:
         Distance [cells], 0 near the surface.
@@ -60,15 +68,15 @@ def brick_leap(field, u, v, w, d0, d1, d2, inside):
     if clearance <= 0:
         return 0.0
     best = 1e9
-    if abs(d0) > 1e-9:
-        side = ((i + clearance) << 2) if d0 > 0.0 else ((i - clearance + 1) << 2)
-        best = min(best, (side - u) / d0)
-    if abs(d1) > 1e-9:
-        side = ((j + clearance) << 2) if d1 > 0.0 else ((j - clearance + 1) << 2)
-        best = min(best, (side - v) / d1)
-    if abs(d2) > 1e-9:
-        side = ((k + clearance) << 2) if d2 > 0.0 else ((k - clearance + 1) << 2)
-        best = min(best, (side - w) / d2)
+    if r0 != 0.0:
+        side = ((i + clearance) << 2) if r0 > 0.0 else ((i - clearance + 1) << 2)
+        best = min(best, (side - u) * r0)
+    if r1 != 0.0:
+        side = ((j + clearance) << 2) if r1 > 0.0 else ((j - clearance + 1) << 2)
+        best = min(best, (side - v) * r1)
+    if r2 != 0.0:
+        side = ((k + clearance) << 2) if r2 > 0.0 else ((k - clearance + 1) << 2)
+        best = min(best, (side - w) * r2)
     return max(best, 0.0)
 
 
@@ -144,9 +152,10 @@ def absorb(medium, p, d, begin, end, share, scatters, depth, values):
             depth[m] += path_length * (medium.mean[m] + scatters * medium.mean[7])
         return
     tint, middle = medium.tint, 0.5 * (begin + end)
-    x = (p[0] + middle * d[0] - tint.lower[0]) / tint.cell
-    y = (p[1] + middle * d[1] - tint.lower[1]) / tint.cell
-    z = (p[2] + middle * d[2] - tint.lower[2]) / tint.cell
+    c = 1.0 / tint.cell
+    x = (p[0] + middle * d[0] - tint.lower[0]) * c
+    y = (p[1] + middle * d[1] - tint.lower[1]) * c
+    z = (p[2] + middle * d[2] - tint.lower[2]) * c
     if scatters == 0.0:  # the other channels are not needed
         trilinear_values(tint.values, x, y, z, 3, values)
         for m in range(3):
@@ -204,13 +213,14 @@ def first_hit(field, p0, p1, p2, d0, d1, d2, min_distance, max_distance):
     u0, v0, w0 = (p0 - field.lower[0]) * c, (p1 - field.lower[1]) * c, (p2 - field.lower[2]) * c
     t, end = begin * c + 1e-6, end * c
     bracket, first = t, True
+    r0, r1, r2 = inverse(d0), inverse(d1), inverse(d2)
     for _ in range(MAX_STEPS):
         if t >= end:
             if bracket >= end:
                 return -1.0, False
             t = end - 1e-6  # the last step may end in the liquid
         u, v, w = u0 + t * d0, v0 + t * d1, w0 + t * d2
-        skip = brick_leap(field, u, v, w, d0, d1, d2, False)
+        skip = brick_leap(field, u, v, w, r0, r1, r2, False)
         if skip > 0.0:
             t += skip + 1e-4
             bracket, first = t, False
@@ -273,8 +283,8 @@ def _test_opaque(stage, p, d, t, clear, step, pixel, out):
 
 
 @njit_cached(**LEAF)
-def _test_surface(medium, p, d, t, bracket, inside, step):
-    """Test for the liquid's surface at the distance t [m].
+def _test_surface(medium, p, d, r, t, bracket, inside, step):
+    """Test for the liquid's surface at the distance t [m]. r: inverse components of d.
 
     Returns:
         Whether it is crossed, the distance, the bound of the space known to be free of it, and the
@@ -285,10 +295,10 @@ def _test_surface(medium, p, d, t, bracket, inside, step):
     u = (p[0] + t * d[0] - field.lower[0]) * c
     v = (p[1] + t * d[1] - field.lower[1]) * c
     w = (p[2] + t * d[2] - field.lower[2]) * c
-    skip = brick_leap(field, u, v, w, d[0], d[1], d[2], inside) * field.cell
+    skip = brick_leap(field, u, v, w, r[0], r[1], r[2], inside) * field.cell
     if skip > 0.0:
         if inside and not medium.uniform:
-            skip = min(skip, 4.0 * medium.tint.cell)
+            skip = min(skip, ABSORBING * medium.tint.cell)
         return False, t, t + skip, t + skip + 1e-4 * field.cell
     rho = density(field, u, v, w)
     if (rho > 0.5) != inside:
@@ -324,6 +334,7 @@ def follow(stage, p, d, inside, max_distance, depth, work, out):
     surface = t if inside else max(begin, t)
     opaque = max(entry, t) if entry < exit_distance else 1e30
     bracket, clear, counted, end_kind = 0.0, 0.0, 0.0, LEFT
+    inverses = inverse(d[0]), inverse(d[1]), inverse(d[2])
     for _ in range(MAX_STEPS):
         t = min(surface, opaque)
         if inside and t >= end:
@@ -332,7 +343,7 @@ def follow(stage, p, d, inside, max_distance, depth, work, out):
         if t >= max_distance:
             t = max_distance
             break
-        if inside and not medium.uniform and t > counted + medium.tint.cell:
+        if inside and not medium.uniform and t > counted + ABSORBING * medium.tint.cell:
             absorb(medium, p, d, counted, t, 1.0, 0.0, depth, values)
             counted = t
         if t >= opaque:
@@ -346,7 +357,9 @@ def follow(stage, p, d, inside, max_distance, depth, work, out):
             if t >= end:
                 surface = 1e30
                 continue
-            crossed, t, bracket, surface = _test_surface(medium, p, d, t, bracket, inside, step)
+            crossed, t, bracket, surface = _test_surface(
+                medium, p, d, inverses, t, bracket, inside, step
+            )
             if crossed:
                 end_kind = CROSSED
                 break
@@ -354,46 +367,3 @@ def follow(stage, p, d, inside, max_distance, depth, work, out):
         absorb(medium, p, d, counted, t, 1.0, 0.0, depth, values)
     p[0], p[1], p[2] = p[0] + t * d[0], p[1] + t * d[1], p[2] + t * d[2]
     return end_kind, t
-
-
-@njit_cached(**RAY)
-def liquid_depth(medium, p, d, depth, values):
-    """Write the liquid's optical depth, scattering included, along a straight ray to depth (3,).
-
-    Args:
-        medium, p, d: Liquid and ray.
-        depth, values: (out) Optical depth, shape (3,), and scratch, shape (8,).
-
-    Returns:
-        Path length in the liquid [m].
-    """
-    field = medium.field
-    depth[0] = depth[1] = depth[2] = 0.0
-    begin, end = clip(field.box[:3], field.box[3:], p[0], p[1], p[2], d[0], d[1], d[2])
-    t, total = begin + 0.05 * field.cell, 0.0
-    c = 1.0 / field.cell
-    for _ in range(MAX_STEPS):
-        if t >= end:
-            break
-        u = (p[0] + t * d[0] - field.lower[0]) * c
-        v = (p[1] + t * d[1] - field.lower[1]) * c
-        w = (p[2] + t * d[2] - field.lower[2]) * c
-        outside = brick_leap(field, u, v, w, d[0], d[1], d[2], False)
-        if outside > 0.0:
-            t += (outside + 1e-4) * field.cell
-            continue
-        step, share = brick_leap(field, u, v, w, d[0], d[1], d[2], True) * field.cell, 1.0
-        if step <= 0.0:
-            step = min(1.5 * field.cell, end - t)
-            # the inner fraction of a step is linear in rho over a cell, without jumps
-            h = 0.5 * step * c
-            f = density(field, u + h * d[0], v + h * d[1], w + h * d[2])
-            share = min(max(0.5 + 2.0 * (f - 0.5), 0.0), 1.0)
-        step = min(step, end - t)
-        if not medium.uniform:
-            step = min(step, 4.0 * medium.tint.cell)
-        if share > 0.0:
-            absorb(medium, p, d, t, t + step, share, 1.0, depth, values)
-            total += share * step
-        t += step + 1e-6 * field.cell
-    return total

@@ -192,6 +192,7 @@ def _liquid_behind(stage, p, d, max_distance, work, out):
     q = work[69:72]
     for m in range(3):
         q[m] = p[m] + t * d[m]
+        out[4 + m] = 0.0
     shade_ray(stage, q, d, wall, field.cell, 0.1, work, out)
     return True
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from vgmpi.runtime.compile_cache import njit_cached
 
-from .compile_options import RAY
+from .compile_options import KERNEL, RAY
 from .cone_occlusion import EXTINCTION, Occlusion, cone
 from .light_rig import Rig, ambient, smooth
 
@@ -122,7 +122,7 @@ def new_shadows(plane: Ground, before: Ground) -> Ground:
     return plane._replace(light=(ratio * plane.far_light).astype(np.float32))
 
 
-@njit_cached(nogil=True, error_model="numpy")
+@njit_cached(**KERNEL)
 def _light(light, pyramid, rig, height, lower, texel):
     """Fill in the light map."""
     color = np.zeros(3)
