@@ -48,7 +48,7 @@ def _run_scenes(args: argparse.Namespace) -> int:
 def _pictures(parser: argparse.ArgumentParser) -> None:
     say = parser.add_argument
     say("tree", type=Path, help="another checkout")
-    say("run", type=Path, help="folder of a run")
+    say("folder", type=Path, help="folder of a run")
     say("settings", type=Path, help="its render.toml")
     say("--frames", nargs="+", type=int, default=[1], metavar="N", help="default 1")
     say("--rounds", type=int, default=3, help="default 3")
@@ -58,7 +58,7 @@ def _run_pictures(args: argparse.Namespace) -> int:
     from tests.benchmarks import compare_pictures
 
     for line in compare_pictures.compare(
-        args.tree, args.run, args.settings, args.frames, args.rounds, print_progress
+        args.tree, args.folder, args.settings, args.frames, args.rounds, print_progress
     ):
         print(line, flush=True)
     return 0
