@@ -31,9 +31,8 @@ friction = 0.3
 name = "egg"
 material = "stuff"
 velocity = [0, 0, SPEED]
-shape = { ellipsoid = { center = [0.15, 0.15, HEIGHT], radii = RADII } }
+shape = { ellipsoid = { center = [0.15, 0.15, HEIGHT], radii = [0.1, 0.06, 0.15] } }
 """
-STANDING, LYING = [0.1, 0.06, 0.15], [0.1, 0.1, 0.06]  # [m] radii of the egg
 HEAP = """
 [domain]
 size = [0.32, 0.32, 0.24]
@@ -122,9 +121,9 @@ def least_height(folder, text, end, count=40):
 
 
 @pytest.mark.parametrize("boundary", [DEFAULT, FRICTION], ids=["default", "separate"])
-@pytest.mark.parametrize("young", [1000, 1500, 10000, 50000, 100000, 1000000])
+@pytest.mark.parametrize("young", [1000, 1500, 10000])
 def test_holds_soft_bodies(tmp_path, young, boundary):
-    text = filled(EGG, BOUNDARY=boundary, YOUNG=young, SPEED=0, HEIGHT=0.154, RADII=STANDING)
+    text = filled(EGG, BOUNDARY=boundary, YOUNG=young, SPEED=0, HEIGHT=0.154)
     depth = least_height(tmp_path, text, 0.3)
     print(f"egg of {young} Pa: least height {depth:.3f} cells")
     assert depth > DEPTH
@@ -139,16 +138,11 @@ def test_holds_heaps(tmp_path, kind, boundary):
 
 
 @pytest.mark.parametrize("boundary", [DEFAULT, FRICTION], ids=["default", "separate"])
-@pytest.mark.parametrize(
-    "young, speed, radii",
-    [(2e5, -9, STANDING), (1e6, -5, STANDING), (1e6, -5, LYING), (5e4, -1, LYING)],
-    ids=["a third of the wave speed", "standing", "lying", "soft"],
-)
-def test_holds_hard_impacts(tmp_path, young, speed, radii, boundary):
-    height = radii[2] + 0.03
-    text = filled(EGG, BOUNDARY=boundary, YOUNG=young, SPEED=speed, HEIGHT=height, RADII=radii)
-    depth = least_height(tmp_path, text, 0.03 if speed < -1 else 0.08)
-    print(f"egg of {young:g} Pa at {-speed} m/s: least height {depth:.3f} cells")
+def test_holds_hard_impacts(tmp_path, boundary):
+    """At a third of the wave speed, 27 m/s."""
+    text = filled(EGG, BOUNDARY=boundary, YOUNG=2e5, SPEED=-9, HEIGHT=0.18)
+    depth = least_height(tmp_path, text, 0.03)
+    print(f"egg at 9 m/s: least height {depth:.3f} cells")
     assert depth > DEPTH
 
 

@@ -15,10 +15,7 @@ cell of it is beyond. Twice this momentum is added to the wall's node, so that m
 the clamp at the wall's nodes, with its friction, acts on all that presses. A ghost node at rest,
 as one without mass is after this, takes its velocity from the mirror. The decision needs the sums
 of one segment only, so that it is the same on any number of ranks. Stiff bodies with resolved
-surfaces meet the wall like a collider (kernels/grid/contact.py). Contact stops the nodes on the
-wall and beyond, but not those inside, to which the lowest particles of a small or round contact
-follow a body that is pressed in. The velocity interpolated at the wall must not enter it, as that
-of liquids: a ghost node moves out of the wall at least as fast as its mirror node moves into it.
+surfaces meet the wall like a collider (kernels/grid/contact.py).
 
 A patch meets a wall by a code: 8 * (index of the wall's nodes in the patch) + kind; 0 where it
 meets none.

@@ -40,7 +40,7 @@ from .group_context import (
 )
 from .kernel_caller import KernelCaller
 from .nodal_field_storage import NodalField, color_count, fields_of_couplings, nodal_fields
-from .plan_tables import mirror_kinds_of, phase_sets, phase_table, wall_table
+from .plan_tables import phase_sets, phase_table, wall_kinds_of, wall_table
 from .reaction_sums import ReactionAccumulators
 from .shift_tables import node_fill, with_colliders
 from .thread_partition import ThreadPartition, accumulator_copies
@@ -174,7 +174,7 @@ class Cpu(KernelCaller):
 
     def _mirror(self, group: ParticleGroup) -> np.ndarray:
         """Return the codes of the walls that a group's segments meet."""
-        kinds = mirror_kinds_of(self.walls, self.plan.phases[group.plan.phase])
+        kinds = wall_kinds_of(self.walls, self.plan.phases[group.plan.phase])
         return patch_codes(group.block, self.plan.cells, kinds)
 
     # ---- a step ----------------------------------------------------------------------------------

@@ -25,14 +25,10 @@ def wall_table(plan: Plan) -> Walls:
     return Walls(np.array(plan.cells), kinds, for_solids, for_surfaces, friction)
 
 
-def mirror_kinds_of(walls: Walls, phase: PhasePlan) -> np.ndarray:
-    """Return the wall kinds by which patches of a phase mirror velocities, shape (3, 2).
-
-    Walls that push its surfaces by contact count as separate: what is interpolated at them does not
-    enter them.
-    """
+def wall_kinds_of(walls: Walls, phase: PhasePlan) -> np.ndarray:
+    """Return the wall kinds of a phase, shape (3, 2)."""
     if phase.meets_walls_by_contact:
-        return np.where(walls.kinds_for_surfaces == 0, SEPARATE, walls.kinds_for_surfaces)
+        return walls.kinds_for_surfaces
     return walls.kinds if phase.is_liquid else walls.kinds_for_solids
 
 

@@ -12,7 +12,6 @@ from vgmpi.planning.phases_and_groups import PhasePlan
 from vgmpi.planning.plan import Plan
 
 PUSHING = "separate", "yielding"  # kinds of walls that let go
-BY_CONTACT = "contact"  # kind of a separate wall that pushes resolved surfaces by contact
 
 
 class Stencil:
@@ -167,21 +166,20 @@ class Dense:
         """Return whether a phase has walls that let it go (yielding_walls.py)."""
         return any(kind == "yielding" for kind, _ in self.walls_of_phases[phase])
 
-    def wall_planes(self, phase: int | None = None, by_contact: bool = False):
+    def wall_planes(self, phase: int | None = None):
         """Yield axis, kind, friction and three planes of each wall; open walls are left out.
 
         The planes are the indices of the wall's nodes, of the nodes inside and of the nodes beyond.
 
         Args:
             phase: Phase whose walls are meant; those of liquids if None.
-            by_contact: Whether walls that push the phase by contact belong to them.
         """
         walls = self.walls if phase is None else self.walls_of_phases[phase]
         for axis in range(3):
             last = self.cells[axis] + 1
             for side, planes in enumerate(((1, 2, 0), (last, last - 1, last + 1))):
                 kind, friction = walls[2 * axis + side]
-                if kind != "open" and (kind != BY_CONTACT or by_contact):
+                if kind != "open":
                     yield axis, kind, friction, *planes
 
     @staticmethod
@@ -214,8 +212,8 @@ class Dense:
                     along = np.moveaxis(field, axis, 0)
                     along[inside] += along[beyond] * sign
                     along[beyond] = 0.0
-        for axis, wall, _, plane, _, beyond in self.wall_planes(phase, by_contact=True):
-            if wall in ("separate", BY_CONTACT) and recorder is not None and numbers is not None:
+        for axis, wall, _, plane, _, beyond in self.wall_planes(phase):
+            if wall == "separate" and recorder is not None and numbers is not None:
                 recorder.record_mass(axis, plane, np.moveaxis(numbers, axis, 0)[beyond])
 
     def constrain(self, v: np.ndarray, phase: int | None = None, recorder=None, hold=None) -> None:
@@ -254,9 +252,9 @@ class Dense:
             phase: See `wall_planes`.
             recorder: `WallRecorder`, or None.
         """
-        for axis, kind, _, wall, inside, beyond in self.wall_planes(phase, by_contact=True):
+        for axis, kind, _, wall, inside, beyond in self.wall_planes(phase):
             along = np.moveaxis(v, axis, 0)
-            if kind not in (*PUSHING, BY_CONTACT):
+            if kind not in PUSHING:
                 along[beyond] = along[inside] * self.mirror_sign(kind, axis)
             else:
                 inward = 1.0 if wall == 1 else -1.0
@@ -300,11 +298,11 @@ class Dense:
 
 
 def _walls_of(plan: Plan, phase: PhasePlan) -> tuple[tuple[str, float], ...]:
-    """Return the walls of a phase."""
+    """Return the walls of a phase, without those that push its surfaces by contact."""
     if phase.is_liquid:
         return plan.walls
     pushing = "yielding" if plan.keeps is None else "separate"
-    kind = BY_CONTACT if phase.meets_walls_by_contact else pushing
+    kind = "open" if phase.meets_walls_by_contact else pushing
     return tuple(
         (kind if wall == "separate" else wall, friction) for wall, friction in plan.walls_of_solids
     )

@@ -11,7 +11,7 @@ import numpy as np
 from vgmpi.kernels.wall_boundary import SIDE, SLIP, STICK, YIELDING, patch_codes
 from vgmpi.parallel.block_lattice import BLOCK_EDGE
 from vgmpi.parallel.particle_group import ParticleGroup
-from vgmpi.solver.engines.plan_tables import mirror_kinds_of
+from vgmpi.solver.engines.plan_tables import wall_kinds_of
 
 from .dense_grid import Dense, Stencil
 
@@ -173,6 +173,6 @@ def sums_of(engine: Any, group: ParticleGroup, stencil: Stencil) -> ImpulseSums:
     fields = engine.momentum[p], engine.mass[p], engine.forces[p]
     if not dense.yields(p):
         return ImpulseSums(stencil, *fields)
-    kinds = mirror_kinds_of(engine.walls, engine.plan.phases[p])
+    kinds = wall_kinds_of(engine.walls, engine.plan.phases[p])
     recorders = engine.record(p, engine.mirrors), engine.record(p, 1.0)
     return PatchedSums(group, dense, kinds, stencil, fields, recorders)
