@@ -260,6 +260,13 @@ def _shows_liquid(view, drop_depth, hits, j, k, d):
     return drop_depth[u, v] > 1e6 and abs(hits[j, k]) < view.depth[u, v] * size
 
 
+@njit_cached(**LEAF)
+def _place_sample(j, k, a, b, samples, height, width):
+    """Return the place (v, u) [-] of ray (a, b) of samples x samples in the pixel (j, k)."""
+    v = (j + (a + (b + 0.5) / samples) / samples) / height
+    return v, (k + (b + (a + 0.5) / samples) / samples) / width
+
+
 @njit_cached(**KERNEL)
 def refine(
     stage,
@@ -309,13 +316,8 @@ def refine(
                 if is_central and 2 * a + 1 == samples and a == b:
                     values = image[j, k, 0], image[j, k, 1], image[j, k, 2], alpha[j, k]
                 else:
-                    position = (
-                        (j + (a + (b + 0.5) / samples) / samples) / height,
-                        (k + (b + (a + 0.5) / samples) / samples) / width,
-                    )
-                    values = _sample(
-                        stage, left, drops, position, pixel, blur, flags, d, p, work, out
-                    )
+                    at = _place_sample(j, k, a, b, samples, height, width)
+                    values = _sample(stage, left, drops, at, pixel, blur, flags, d, p, work, out)
                 for m in range(4):
                     total[m] += values[m]
                     low[m], high[m] = min(low[m], values[m]), max(high[m], values[m])
