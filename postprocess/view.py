@@ -37,19 +37,19 @@ def picture(run: RunReader, index: int, color: str, path: Path, args: argparse.N
     if "DISPLAY" not in os.environ:  # VTK would complain before it falls back to drawing off screen
         pv.vtk_verbosity("off")
     frame = run.frame(index)
-    at = np.ascontiguousarray(frame["positions"], dtype=np.float32)
-    if not len(at):
+    x = np.ascontiguousarray(frame["positions"], dtype=np.float32)
+    if not len(x):
         raise RunError(f"{args.out}: frame {index} has no particles; vgmpi render draws all else")
     try:
         values = scalars(frame, color)
     except RunError as error:
         raise RunError(f"--color: {error}") from None
     size = run.scene.get("domain", {}).get("size")
-    lower, upper = (np.zeros(3), np.array(size)) if size else (at.min(0), at.max(0))
+    lower, upper = (np.zeros(3), np.array(size)) if size else (x.min(0), x.max(0))
     plotter = pv.Plotter(off_screen=True, window_size=args.size)
     plotter.set_background("white")  # type: ignore[arg-type]  # its decorator hides self
     plotter.add_mesh(
-        pv.PolyData(at),
+        pv.PolyData(x),
         scalars=values,
         clim=args.range,
         cmap="viridis",

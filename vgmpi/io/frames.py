@@ -265,20 +265,20 @@ def _virtual(s, name, frames, counts, shape, dtype):
     properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     properties.set_layout(h5py.h5d.VIRTUAL)
     # the low-level interface of HDF5: thousands of selections take many times as long by objects
-    whole, rest = h5py.h5s.create_simple((sum(counts), *shape)), (0,) * len(shape)
+    space, origin = h5py.h5s.create_simple((sum(counts), *shape)), (0,) * len(shape)
     spaces = {count: h5py.h5s.create_simple((count, *shape)) for count in set(counts) - {0}}
     dataset, start = f"/VTKHDF/{name}".encode(), 0
     for w, count in zip(frames, counts):
         if count:
-            whole.select_hyperslab((start, *rest), (count, *shape))
+            space.select_hyperslab((start, *origin), (count, *shape))
             file = f"{file_layout.FRAMES}/{w.file}".encode()
-            properties.set_virtual(whole, file, dataset, spaces[count])
+            properties.set_virtual(space, file, dataset, spaces[count])
         start += count
     kind = np.dtype(dtype).kind
     missing = np.nan if kind == "f" else 0 if name.startswith("Vertices/") else -1
     properties.set_fill_value(np.array([missing]))
-    whole.select_all()
-    s.dataset(f"VTKHDF/{name}", np.dtype(dtype), whole, properties)
+    space.select_all()
+    s.dataset(f"VTKHDF/{name}", np.dtype(dtype), space, properties)
 
 
 def _read_written(path: Path, number: int) -> _Written:

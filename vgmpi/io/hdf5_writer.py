@@ -201,8 +201,8 @@ class Hdf5Writer:
             self._sums[name] = checkpoint_manifest.crc(np.ascontiguousarray(values))
             space = h5py.h5s.create_simple(values.shape)
             properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-            made = self.dataset(name, values.dtype, space, properties)
-            made.write(h5py.h5s.ALL, h5py.h5s.ALL, values)
+            dataset = self.dataset(name, values.dtype, space, properties)
+            dataset.write(h5py.h5s.ALL, h5py.h5s.ALL, values)
 
     def text(self, name: str, text: str) -> None:
         """Add a text of any length, from rank 0 (attributes end at 64 KiB)."""

@@ -229,10 +229,10 @@ class Bodies:
         """
         if self.filling is None:
             assert self.look.scenery is not None and self.scenery_normal is not None
-            x, rest = self.look.scenery.x0, np.asarray(self.look.run.gaussians.x0)
+            x, particles = self.look.scenery.x0, np.asarray(self.look.run.gaussians.x0)
             spacing = np.cbrt(self.scenery_volume)
             self.filling = fill_scenery(
-                x, self.scenery_normal, self.skins, spacing, self.moving, cell, rest
+                x, self.scenery_normal, self.skins, spacing, self.moving, cell, particles
             )
         return self.filling.positions(frame.get("poses", ())), self.filling
 

@@ -171,12 +171,12 @@ class _Supervisor:
         for number, handler in handlers.items():
             if before[number] is not signal.SIG_IGN:  # as under nohup
                 signal.signal(number, handler)
-        held = signal.pthread_sigmask(signal.SIG_BLOCK, ())
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, ())
         try:
             signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGUSR1})
             yield
         finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, held)
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
             for number, old in before.items():
                 signal.signal(number, old)
 

@@ -316,8 +316,8 @@ def refine(
                 if is_central and 2 * a + 1 == samples and a == b:
                     values = image[j, k, 0], image[j, k, 1], image[j, k, 2], alpha[j, k]
                 else:
-                    at = _place_sample(j, k, a, b, samples, height, width)
-                    values = _sample(stage, left, drops, at, pixel, blur, flags, d, p, work, out)
+                    place = _place_sample(j, k, a, b, samples, height, width)
+                    values = _sample(stage, left, drops, place, pixel, blur, flags, d, p, work, out)
                 for m in range(4):
                     total[m] += values[m]
                     low[m], high[m] = min(low[m], values[m]), max(high[m], values[m])

@@ -165,7 +165,7 @@ def shade_opaque(stage, albedo, normal, kinds, left, block, liquid, captures):
         np.empty((TILE, TILE, NUMBERS)), np.empty((TILE, TILE, 3)), np.empty((TILE, TILE, 1)),
         np.empty((TILE, TILE), np.bool_),
     )  # fmt: skip
-    surface, near = np.empty((6, 3)), np.empty((4, 12))
+    surface, surfaces = np.empty((6, 3)), np.empty((4, 12))
     work, thick = np.empty(17), 3.0 * stage.pyramid.cell
     painted = albedo, normal, kinds, left
     for j0 in range(0, height, TILE * block):
@@ -176,20 +176,22 @@ def shade_opaque(stage, albedo, normal, kinds, left, block, liquid, captures):
                     corner = j0 + a * block, k0 + b * block, block
                     _shade_block(
                         stage, painted, corner, tile[0][a, b], thick, liquid, captures, surface,
-                        near, work,
+                        surfaces, work,
                     )  # fmt: skip
 
 
 @njit_cached(**RAY)
-def _shade_block(stage, painted, corner, light, thickness, liquid, captures, surface, near, work):
+def _shade_block(
+    stage, painted, corner, light, thickness, liquid, captures, surface, surfaces, work
+):
     """Shade the pixels of a block.
 
     painted, liquid, captures: see `shade_opaque`. corner: first row and column, pixels along a
-    side. light, thickness: see `light_tile`. surface, near, work: scratch of shapes (6, 3), (4, 12)
-    and (17,).
+    side. light, thickness: see `light_tile`. surface, surfaces, work: scratch of shapes (6, 3),
+    (4, 12) and (17,).
     """
     albedo, normal, kinds, left = painted
-    view, rig, known = stage.buffers, stage.rig, 0
+    view, rig, count = stage.buffers, stage.rig, 0
     height, width = view.depth.shape
     n, p, d, kind, color, out = (
         surface[0], surface[1], surface[2], surface[3], surface[4], surface[5],
@@ -210,10 +212,10 @@ def _shade_block(stage, painted, corner, light, thickness, liquid, captures, sur
             own = light
             if light[0] <= 0.0:
                 z = _depth_near(view.depth, j, k)
-                slot = _like_surface(near, known, z, n, kind[0], thickness)
-                own = near[slot]
-                if slot == known:
-                    known = min(known + 1, len(near) - 1)
+                slot = _like_surface(surfaces, count, z, n, kind[0], thickness)
+                own = surfaces[slot]
+                if slot == count:
+                    count = min(count + 1, len(surfaces) - 1)
                     for m in range(3):
                         p[m] = view.eye[m] + z * s * d[m]
                         own[8 + m] = n[m]
@@ -226,16 +228,20 @@ def _shade_block(stage, painted, corner, light, thickness, liquid, captures, sur
 
 
 @njit_cached(**LEAF)
-def _like_surface(near, known, z, n, sand, thickness):
-    """Return which surface of a block, whose light is known, a pixel shows; `known` for none.
+def _like_surface(surfaces, count, z, n, sand, thickness):
+    """Return which surface of a block, whose light is evaluated, a pixel shows; `count` for none.
 
-    near: depth, light (7), normal (3) and fraction of sand of each. z, n, sand: of the pixel.
+    surfaces: depth, light (7), normal (3) and fraction of sand of each. z, n, sand: of the pixel.
     """
-    for q in range(known):
-        dot = n[0] * near[q, 8] + n[1] * near[q, 9] + n[2] * near[q, 10]
-        if abs(z - near[q, 0]) < thickness and dot > ALIKE and abs(sand - near[q, 11]) < 0.1:
+    for q in range(count):
+        dot = n[0] * surfaces[q, 8] + n[1] * surfaces[q, 9] + n[2] * surfaces[q, 10]
+        if (
+            abs(z - surfaces[q, 0]) < thickness
+            and dot > ALIKE
+            and abs(sand - surfaces[q, 11]) < 0.1
+        ):
             return q
-    return known
+    return count
 
 
 @njit_cached(**RAY)
