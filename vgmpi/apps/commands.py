@@ -3,7 +3,6 @@
 The module of a subcommand is imported when the subcommand is called.
 """
 
-import contextlib
 import importlib
 import os
 import platform
@@ -15,7 +14,6 @@ from vgmpi.runtime.exit_handler import exit_code_from_exceptions
 from vgmpi.runtime.process_limits import find_unusable_limit
 from vgmpi.runtime.suggestions import did_you_mean
 from vgmpi.runtime.versions import program_version
-from vgmpi.solver.stop_requests import stop_signal_held
 
 
 class Command(NamedTuple):
@@ -87,7 +85,11 @@ def main(argv: list[str]) -> int:
         print(f"vgmpi: {problem}", file=sys.stderr)
         return EXIT_USAGE
     name, words = (argv[0], argv[1:]) if argv and argv[0] in COMMANDS else ("run", argv)
-    with stop_signal_held() if name == "run" else contextlib.nullcontext():
+    if name != "run":
+        return _run(name, words)
+    from vgmpi.solver.stop_requests import stop_signal_held  # not for --help of the others
+
+    with stop_signal_held():
         return _run(name, words)
 
 

@@ -57,8 +57,9 @@ def validate_pinned(raw: dict, scenery: bool) -> list[tuple[tuple, str]]:
         if table.get("to", WORLD) == WORLD:
             continue
         reasons = {"motion": "the part moves with what holds it", "release_time": "it lets go"}
-        for key in set(reasons) & set(table):
-            errors.append(((*path, key), f'is only for to = "{WORLD}": {reasons[key]}'))
+        for key, reason in reasons.items():
+            if key in table:
+                errors.append(((*path, key), f'is only for to = "{WORLD}": {reason}'))
     if isinstance(tables, list) and not tables:
         errors.append((("pinned",), "has no part"))
     return errors

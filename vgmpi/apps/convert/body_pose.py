@@ -272,6 +272,7 @@ def _name(body: Body, file: Path | None, used_names: set[str]) -> str:
         stem = "body"
     name = re.sub(r"[^\w -]", "_", stem).strip() or "body"
     name = name if name[0].isalpha() else f"body {name}"
+    # room for a number behind it
     name = name.encode()[: MAX_NAME_BYTES - 4].decode(errors="ignore").strip()
     base, count = name, 1
     while name in used_names:
