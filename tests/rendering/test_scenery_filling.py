@@ -36,8 +36,9 @@ def enclosed(x, others=NOBODY):
 
 def test_a_closed_skin_is_filled():
     points, volume = enclosed(skin())
-    assert (points > 0).all() and (points < 1).all()
-    assert 0.9 < len(points) * volume < 1.1  # [m3]
+    depth = scenery_filling.DEPTH * GAP  # [m]
+    assert (points > depth).all() and (points < 1 - depth).all()
+    np.testing.assert_allclose(len(points) * volume, (1 - 2 * depth) ** 3, rtol=0.1)  # [m3]
     assert volume <= 0.03**3
 
 
