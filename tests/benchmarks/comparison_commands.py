@@ -115,10 +115,28 @@ def _run_frames(args: argparse.Namespace) -> int:
     return 0
 
 
+def _first_use(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("tree", type=Path, nargs="?", help="another checkout, in turns")
+    say("--install", action="store_true", help="also into new environments, from the network")
+    say("--rounds", type=int, default=3, help="default 3")
+    say("--patience", type=float, default=120.0, metavar="S", help="longest wait, default 120 s")
+
+
+def _run_first_use(args: argparse.Namespace) -> int:
+    from tests.benchmarks import first_use
+
+    how = args.install, args.rounds, args.patience, print_progress
+    for line in first_use.compare_first_use(args.tree, *how):
+        print(line, flush=True)
+    return 0
+
+
 COMPARISON_COMMANDS = {
     "against": ("beside another checkout", _against, _run_against),
     "board-steps": ("runs of the board with a shorter step", _board_steps, _run_board_steps),
     "cores": ("ranks beside threads, and what a start on ranks costs", _cores, _run_cores),
+    "first-use": ("install, first run and first picture, by the clock", _first_use, _run_first_use),
     "frames": ("what writing a frame costs", _frames, _run_frames),
     "pictures": ("pictures of a run beside another checkout", _pictures, _run_pictures),
     "scenes": ("scenes of runs/ beside another checkout", _scenes, _run_scenes),

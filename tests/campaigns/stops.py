@@ -43,7 +43,9 @@ def campaign(count: int, seed: int, folder: Path) -> Result:
             until(lambda: not kills.is_left(set(), mark), "all processes of it end")
             said = _outcome(job, number, out)
             tiny.check(out)
-            return f"{number.name}, {said}, {tiny.ends_the_same(scene, out, want)}"
+            return (
+                f"{number.name}, {said}, {tiny.ends_the_same(scene, out, want, said == 'stopped')}"
+            )
 
         return cases.each(count, seed, folder, case)
 

@@ -1,4 +1,4 @@
-"""Liquids that stick to rigid bodies or slip on colliders: the same bits in every file for any
+"""Liquids that stick to bodies or slip on colliders: the same bits in every file for any
 number of ranks and threads and after a restart."""
 
 import pytest
@@ -53,7 +53,13 @@ shape = { sphere = { center = ["12 cm", "8 cm", "12 cm"], radius = "4 cm" } }
 velocity = [0, 0, -1]
 angular_velocity = [0, 9, 3]
 """
-SCENES = {"colliders": COLLIDERS, "body": COLLIDERS + BODY}
+SOLID = BODY.replace("rigid = true\n", "")
+SCENES = {
+    "colliders": COLLIDERS,
+    "body": COLLIDERS + BODY,
+    "solid": COLLIDERS + SOLID,
+    "solid alone": COLLIDERS[: COLLIDERS.index('[[object]]\nname = "floor"')] + SOLID,
+}
 
 
 @pytest.fixture(scope="module", params=list(SCENES))

@@ -32,12 +32,31 @@ shape = { box = [[0, 0, -0.1], [0.2, 0.2, 0.05]] }
 """
 KEY = "object.floor.slip_length"
 PASTE = 'kind = "paste"\npreset = "jam"'
+BODY = 'role = "scenery"\ncollider = true\n'
+SOLID = 'material = "gel"\n'
+RUB = """slip_length = "1 mm"
+shape = { box = [[0, 0, 0], [0.2, 0.2, 0.05]] }
+[material.gel]
+kind = "elastic"
+youngs_modulus = 1e5
+[[coupling]]
+kind = "contact"
+between = ["honey", "gel"]
+friction = 0.3
+[[object]]
+name = "stand"
+role = "scenery"
+collider = true
+"""
 WRONG = [
     ('"1 mm"', '"-1 mm"', f"{KEY}: must be >= 0 m"),
     ('"1 mm"', '"1 kg"', f"{KEY}: "),
-    ("collider = true\n", "", f"{KEY}: is only for scenery with collider = true and rigid bodies"),
+    ("collider = true\n", "",
+     f"{KEY}: is only for bodies of solids and scenery with collider = true"),
     ('material = "honey"', 'material = "honey"\nslip_length = 0',
-     "object.pool.slip_length: is only for scenery with collider = true and rigid bodies"),
+     "object.pool.slip_length: is only for bodies of solids and colliders: kind 'fluid' is none"),
+    (BODY, SOLID + RUB,
+     f"{KEY}: the coupling of 'honey' and 'gel' has friction: give one of the two"),
     ("collider = true", "collider = true\nfriction = 0.1",
      f"{KEY}: friction and slip_length given at once: give one"),
     ("viscosity = 10\n", "", f"{KEY}: needs a liquid with viscosity; the scene has none"),
@@ -60,6 +79,19 @@ def test_what_is_refused(tmp_path, old, new, message):
         vgmpi.load(tmp_path / "scene.toml", text=SCENE.replace(old, new, 1))
     assert message in str(error.value)
     assert "scene.toml:" in str(error.value)
+
+
+def test_liquids_stick_to_solids(tmp_path):
+    """The table is symmetric; who is no liquid or has no slip length slips freely."""
+    solid = RUB.replace("friction = 0.3", "friction = 0")
+    text = SCENE.replace(BODY + 'slip_length = "1 mm"\n', SOLID + solid, 1)
+    plan = vgmpi.plan(vgmpi.load(tmp_path / "scene.toml", text=text))
+    names = [phase.name for phase in plan.phases]
+    gel, honey = names.index("floor"), names.index("fluid")
+    lengths = plan.slip_of_solids.lengths
+    assert lengths[gel][honey] == lengths[honey][gel] == 1e-3
+    assert lengths[gel][gel] == lengths[honey][honey] == float("inf")
+    assert plan.slip is None
 
 
 def test_paste_may_stick(tmp_path):

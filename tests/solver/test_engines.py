@@ -218,6 +218,13 @@ SCENES = {kind: (of_law(kind), "mixed", "") for kind in LAWS} | {
     ),
     "walls that vanish": (WATER + TOY + POOL + CUBE + OTHER, "vanishing", ""),
     "inlets and outlets": (WATER + TOY + POOL + CUBE + TAP + HOLE, "mixed", ""),
+    "sticking, in contact": (
+        WATER + TOY + POOL + CUBE + "slip_length = 0\n" + OTHER + "slip_length = 0.02\n",
+        "mixed", "",
+    ),
+    "sticking, driven, in contact": (
+        WATER + TOY + POOL + DRIVEN + "slip_length = 0\n" + POST, "separate", CORRECTED,
+    ),
     "driven, in contact": (WATER + TOY + POOL + DRIVEN + OTHER + POST, "separate", ""),
     "let go": (WATER + SAND + TOY + POOL + HELD + DRIVEN, "mixed", ""),
     "let go in layers": (WATER + SAND + WET.replace("0.11", "0.2") + LETTING_GO + FLOW, "mixed",

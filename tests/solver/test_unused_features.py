@@ -300,6 +300,16 @@ FEATURES = {
         IN_PORES + COUPLED + 'kind = "drag"\nhydraulic_conductivity = 1e-3\n', SHARED,
         {*MIXES, "SandLaw"},
     ),
+    "a solid to which it sticks": (
+        PLAIN.replace("tait_coefficient", "viscosity = 1\ntait_coefficient", 1)
+        + RUBBER + BESIDE + "slip_length = 0\n",
+        {"engine.layers.offsets", "couplings", "needs.sticking", *(
+            f"{owner}.velocity gradient {a}"
+            for owner in ("engine.layers", "tables.asked", "tables.contributes") for a in "xyz"
+        )},
+        {"ElasticLaw", "SurfaceDistance", "Offsets", "VelocityGradient", "NodesOfPhases",
+         "SolidSlipLaw", "SlipLaw", "SlipScratch", "apply_solid_slip"},
+    ),
     "a collider": (PLAIN + POST, {"engine.layers.offsets", "solids"}, {"Offsets"}),
     "a moving collider": (
         PLAIN + POST + "motion = { velocity = [0.01, 0, 0] }\n",

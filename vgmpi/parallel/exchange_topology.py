@@ -84,6 +84,7 @@ class TopologyRequirements(NamedTuple):
     at_surfaces: bool = False  # these fields are summed in the blocks near colliders alone
     pinned: np.ndarray = np.zeros(0, bool)  # (phases,) True with pinned parts, or empty
     pressure: bool = False  # the particles' pressure is summed
+    sticking: np.ndarray = np.zeros(0, bool)  # (phases,) True if a liquid sticks to a solid there
 
     @property
     def layers(self) -> list[str]:
@@ -323,18 +324,16 @@ def _who_contributes(
     touches both.
     """
     every = np.ones(len(index), bool)
+    near_solid = ~every if solid is None else _by_solid(box, solid)[index]
     contributes = {name: every for name in needs.layers}
     wanted = _wants_offset(box, index, phase, needs.contact, solid)[index]
     if needs.apart is True:
         contributes["impulses"] = every
     elif needs.apart:
-        separate, close = (
-            needs.apart,
-            _close(box, index, phase, int(needs.phase_of.max()) + 1)[:, index],
-        )
+        separate = needs.apart
+        close = _close(box, index, phase, int(needs.phase_of.max()) + 1)[:, index]
         sharing = (separate.shares[phase].T & close).any(0) & separate.fluid[phase]
         contributes["impulses"] = sharing | separate.every
-        near_solid = np.zeros(len(index), bool) if solid is None else _by_solid(box, solid)[index]
         wanted &= (separate.contact[phase].T & close).any(0) | near_solid
     if needs.planes:
         close_by = box.spread(_at_plane(box.every, needs), np.logical_or)[index]
@@ -343,8 +342,8 @@ def _who_contributes(
     if needs.has_surface_friction:
         contributes["shear"] = wanted & needs.surface[phase]
     if needs.near_colliders:
-        close_by = np.zeros(len(index), bool) if solid is None else _by_solid(box, solid)[index]
-        contributes |= dict.fromkeys(needs.near_colliders, close_by)
+        at_solids = wanted & needs.sticking[phase] if needs.sticking.any() else ~every
+        contributes |= dict.fromkeys(needs.near_colliders, near_solid | at_solids)
     if needs.volumes.any():
         contributes[REST_VOLUME] = needs.volumes[phase]
     for k in range(int(needs.hues.max(initial=0))):

@@ -42,7 +42,7 @@ from .proximity import Proximity
 from .region_groups import RegionPlan
 from .rigid_bodies import RigidBodiesSummary
 from .soft_bodies import with_soft_bodies
-from .surface_friction import SurfaceSlipPlan, friction_table, surface_slip_plan
+from .surface_friction import SurfaceSlipPlan, friction_table, slip_of_solids, surface_slip_plan
 
 FLOAT_TYPES: dict[str, np.dtype] = {
     "single": np.dtype(np.float32),
@@ -121,6 +121,7 @@ class Plan:
     feels: bool = False  # reaction impulses of each collider and wall are summed
     free_bodies: bool = False  # some colliders are free rigid bodies
     slip: SurfaceSlipPlan | None = None  # of viscous liquids on colliders, if it is limited
+    slip_of_solids: SurfaceSlipPlan | None = None  # of viscous liquids on solids, if it is limited
     sides: WallSidesPlan | None = None  # of thin walls
     implicit_pressure: bool = False  # the grid finds the pressure of the scene's liquid
     joints: tuple[Joint, ...] = ()  # of the free rigid bodies
@@ -287,13 +288,13 @@ def make_plan(
         phases=phases, groups=groups, group_of=group_of, count=tuple(int(n) for n in count),
         first_id=tuple(int(n) for n in np.concatenate([[0], np.cumsum(count)[:-1]])),
         friction=friction_table(scene, groups, len(phases)),
-        slip=surface_slip_plan(scene, groups, len(phases)), sides=sides,
-        stiff=_wave_moduli(groups, len(phases)), contact=len(phases) > 1, collider=collider,
+        slip=surface_slip_plan(scene, groups, len(phases)), sides=sides, collider=collider,
+        slip_of_solids=slip_of_solids(scene, groups, group_of, len(phases)),
+        stiff=_wave_moduli(groups, len(phases)), contact=len(phases) > 1,
         times=np.linspace(0.0, scene.time.end, scene.time.frames),
         cfl=scene.courant_number, fixed_dt=scene.time.dt, rate=_rate(scene, groups, sharing),
-        rules=sharing, colors=colors, affine=scene.accuracy.affine,
-        splines=scene.accuracy.gradient == "bspline",
-        keeps=keeps, restores=restores, implicit_pressure=is_implicit(scene),
+        rules=sharing, colors=colors, affine=scene.accuracy.affine, keeps=keeps, restores=restores,
+        splines=scene.accuracy.gradient == "bspline", implicit_pressure=is_implicit(scene),
         shift_interval=shift_interval(scene) * any(group.shifts for group in groups),
         gravity_ramp_time=scene.domain.gravity_ramp_time, joints=scene.joint,
         gravity_keys=gravity_keys(scene.domain), pins=pins, opens=tuple(scene.domain.opens),

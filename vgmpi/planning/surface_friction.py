@@ -17,14 +17,15 @@ RESOLVED_LAYER_CELLS = 3.0  # [cells] thickness of a boundary layer above which 
 
 
 class SurfaceSlipPlan(NamedTuple):
-    """Slip of viscous liquids on colliders."""
+    """Slip of viscous liquids on colliders, or on solids."""
 
-    lengths: tuple[tuple[float, ...], ...]  # (colliders, phases) [m] slip lengths, inf: free slip
+    # (colliders, phases) or (phases, phases) [m] slip lengths, inf: free slip
+    lengths: tuple[tuple[float, ...], ...]
     viscosities: tuple[float, ...]  # (phases,) [Pa s] dynamic viscosity
 
     @property
     def phases(self) -> tuple[bool, ...]:
-        """Return whether each phase has a finite slip length on a collider, by phase."""
+        """Return whether each phase has a finite slip length on something, by phase."""
         return tuple(min(column) < math.inf for column in zip(*self.lengths, strict=True))
 
 
@@ -64,14 +65,49 @@ def surface_slip_plan(
     own = [math.inf if o.slip_length is None else o.slip_length for o in scene.object if o.collider]
     if not any(length < math.inf for length in own):
         return None
+    viscosities = _viscosities(scene, groups, phases)
+    lengths = tuple(
+        tuple(length if eta > 0.0 else math.inf for eta in viscosities) for length in own
+    )
+    return SurfaceSlipPlan(lengths, viscosities)
+
+
+def _viscosities(scene: Scene, groups: tuple[GroupPlan, ...], phases: int) -> tuple[float, ...]:
+    """Return the largest dynamic viscosity in each phase [Pa s], 0 for all but viscous liquids."""
     viscosities = [0.0] * phases
     for group in groups:
         value = dynamic_viscosity(scene.material[group.material])
         viscosities[group.phase] = max(viscosities[group.phase], value)
-    lengths = tuple(
-        tuple(length if eta > 0.0 else math.inf for eta in viscosities) for length in own
-    )
-    return SurfaceSlipPlan(lengths, tuple(viscosities))
+    return tuple(viscosities)
+
+
+def slip_of_solids(
+    scene: Scene, groups: tuple[GroupPlan, ...], group_of: tuple[int, ...], phases: int
+) -> SurfaceSlipPlan | None:
+    """Return the slip of viscous liquids on solids, or None if they slip freely on all.
+
+    Where several solids share a phase, the smallest slip length counts.
+
+    Args:
+        scene: The scene.
+        groups: All groups.
+        group_of: Group of each object.
+        phases: Number of phases.
+
+    Returns:
+        Its slip lengths are symmetric: (phases, phases).
+    """
+    rows = {k: o.slip_length for k, o in enumerate(scene.object) if o.material and not o.rigid}
+    own = {k: length for k, length in rows.items() if length is not None}
+    if not own:
+        return None
+    viscosities = _viscosities(scene, groups, phases)
+    lengths = np.full((phases, phases), np.inf)
+    for k, length in own.items():
+        solid = groups[group_of[k]].phase
+        for p in np.flatnonzero(viscosities):
+            lengths[solid, p] = lengths[p, solid] = min(length, lengths[solid, p])
+    return SurfaceSlipPlan(tuple(tuple(map(float, row)) for row in lengths), viscosities)
 
 
 def liquids_expected_to_stick(scene: Scene) -> dict[str, float]:

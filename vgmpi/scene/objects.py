@@ -206,7 +206,7 @@ class Object(StrictModel):
     """colliders only: Coulomb friction coefficient of all bodies on it. Default: that of each
     body's material"""
     slip_length: Annotated[float, Quantity("m", ge=0)] | None = None
-    """colliders and rigid bodies only: distance behind the surface at which the velocity of a
+    """colliders and bodies of solids only: distance behind the surface at which the velocity of a
     viscous liquid, continued in a straight line, is that of the surface. 0: it sticks. Default: it
     slips freely"""
     thin: Switch = False

@@ -1,4 +1,4 @@
-"""Slip of viscous liquids on colliders and rigid bodies: what a scene may ask for."""
+"""Slip of viscous liquids on colliders, rigid bodies and solids: what a scene may ask for."""
 
 import math
 from typing import Any
@@ -28,8 +28,8 @@ def validate_slip_length(raw: dict, scenery: bool) -> list[tuple[tuple, str]]:
     """
     if "slip_length" not in raw:
         return []
-    if not (raw.get("collider") is True if scenery else raw.get("rigid") is True):
-        return [(("slip_length",), "is only for scenery with collider = true and rigid bodies")]
+    if scenery and raw.get("collider") is not True:
+        return [(("slip_length",), "is only for bodies of solids and scenery with collider = true")]
     if "friction" in raw:
         message = "friction and slip_length given at once: give one"
         return [(("slip_length",), message)]
@@ -52,7 +52,11 @@ def validate_slip_lengths(
     for k, obj in enumerate(objects):
         if obj.slip_length is None:
             continue
-        key = "object", k, "slip_length"
+        key, own = ("object", k, "slip_length"), materials.get(obj.material)
+        if own is not None and own.family != "solid":
+            message = f"is only for bodies of solids and colliders: kind {own.kind!r} is none"
+            errors.append((key, message))
+            continue
         if not any(viscous) and None not in materials.values():
             errors.append((key, "needs a liquid with viscosity; the scene has none"))
         elif obj.slip_length > 0.0 and math.inf in viscous:
@@ -63,4 +67,20 @@ def validate_slip_lengths(
         elif any(coupling is not None and coupling.rule != CONTACT for coupling in couplings):
             message = "is not for scenes in which materials mix or flow through sand"
             errors.append((key, message))
+        elif own is not None and not obj.rigid:
+            errors += _friction_besides(key, obj.material, materials, couplings)
     return errors
+
+
+def _friction_besides(
+    key: tuple, solid: str, materials: dict, couplings: list
+) -> list[tuple[tuple, str]]:
+    """Return (path, message) if a coupling names the friction of a viscous liquid on a solid."""
+    for coupling in couplings:
+        if coupling is None or solid not in coupling.between or not coupling.friction:
+            continue
+        for liquid in coupling.between:
+            if liquid != solid and dynamic_viscosity(materials[liquid]):
+                names = f"{liquid!r} and {solid!r}"
+                return [(key, f"the coupling of {names} has friction: give one of the two")]
+    return []

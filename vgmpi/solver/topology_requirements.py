@@ -29,6 +29,7 @@ def needs(plan: Plan) -> exchange_topology.TopologyRequirements:
         is_summed_at_surfaces(plan),
         np.isin(np.arange(len(plan.phases)), [part.phase for part in plan.pins]),
         plan.implicit_pressure,
+        np.array(() if plan.slip_of_solids is None else plan.slip_of_solids.phases, bool),
     )
 
 

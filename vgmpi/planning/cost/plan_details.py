@@ -106,15 +106,13 @@ def _thin_walls(scene: Scene) -> list[str]:
 
 
 def _slip(scene: Scene) -> list[str]:
-    """Return a line on each collider on which the slip of viscous liquids is limited."""
-    colliders = [obj for obj in scene.object if obj.collider]
-    lines = [
+    """Return a line on each collider and body on which the slip of viscous liquids is limited."""
+    return [
         f"  slip        {escape_control_characters(obj.name)}: viscous liquids"
         + (f" slip with a length of {obj.slip_length:g} m" if obj.slip_length else " stick to it")
-        for obj in colliders
+        for obj in scene.object
         if obj.slip_length is not None
     ]
-    return lines
 
 
 def _flows(plan: Plan) -> list[str]:

@@ -111,9 +111,12 @@ def _steps(scene: Scene, plan: Plan) -> list[str]:
 
 
 def _free_slip(scene: Scene) -> list[str]:
-    """Return a line on each liquid that slips on colliders and is viscous enough to stick."""
+    """Return a line on each liquid that slips on surfaces and is viscous enough to stick."""
+    solids = [name for name, material in scene.material.items() if material.family == "solid"]
     free = [
-        o.name for o in scene.object if o.collider and o.slip_length is None and o.friction is None
+        o.name
+        for o in scene.object
+        if (o.collider or o.material in solids) and o.slip_length is None and o.friction is None
     ]
     names = ", ".join(map(escape_control_characters, free))
     lines = []

@@ -1,10 +1,10 @@
-"""Slip of liquids on the colliders of a scene, and all that couples the nodes in a step."""
+"""Slip of liquids on colliders and solids, and all that couples the nodes in a step."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-from vgmpi.kernels.rigid import surface_slip
+from vgmpi.kernels.rigid import solid_slip, surface_slip
 from vgmpi.kernels.rigid.body_nodes import SlipLaw
 from vgmpi.parallel.block_lattice import BlockLattice
 from vgmpi.parallel.block_ownership import BlockDirectory
@@ -66,10 +66,57 @@ def make_surface_slip(plan: Plan, solids, engine) -> SurfaceSlip | None:
     return SurfaceSlip(plan, solids, engine)
 
 
+class SolidSlip:
+    """Slip of viscous liquids on solids at the nodes of a rank."""
+
+    def __init__(self, plan: Plan, engine):
+        """Take the slip lengths of a plan.
+
+        Args:
+            plan: Plan of the run; it has slip lengths of solids.
+            engine: Engine.
+        """
+        slip, phases = plan.slip_of_solids, len(plan.phases)
+        assert slip is not None
+        driven = np.array([phase.driven for phase in plan.phases])
+        rows = np.full(phases, -1) if engine.driven is None else engine.driven.ways.row
+        law = SlipLaw(np.array(slip.lengths), np.array(slip.viscosities))
+        self.law = solid_slip.SolidSlipLaw(law, driven, rows)
+        self.plan, self.engine = plan, engine
+        self.tables: ExchangeTopology | None = None
+        self.shares: list[np.ndarray] = []
+        self.scratch = [
+            solid_slip.SlipScratch(*np.zeros((6, 3))) for _ in range(engine.threads)
+        ]  # fmt: skip
+
+    def apply(self, dt: float) -> None:
+        """Change the velocities of the nodes at which phases meet in a step of dt [s]."""
+        engine = self.engine
+        if self.tables is not engine.tables:
+            self.tables = engine.tables
+            several = self.tables.meets & (np.diff(self.tables.first) > 1)
+            self.shares = np.array_split(np.flatnonzero(several), engine.threads)
+        layers = engine.layers
+        nodes = solid_slip.NodesOfPhases(
+            layers["momentum"].nodes, layers["offsets"].nodes,
+            tuple(layers[name].tables for name in GRADIENTS),
+        )  # fmt: skip
+        engine.each(self._apply, nodes, dt)
+
+    def _apply(self, thread: int, nodes, dt: float) -> None:
+        engine = self.engine
+        engine.call_if_rows(
+            (), solid_slip.apply_solid_slip, self.shares[thread], nodes, engine.blocks, self.law,
+            engine.phases, engine.walls, dt, self.plan.dx, self.scratch[thread],
+            engine.room[thread].given,
+        )  # fmt: skip
+
+
 class NodalCouplings(NamedTuple):
     """Couplings of the nodes, after all that acts at each node alone."""
 
     slip: SurfaceSlip | None  # slip of liquids on colliders
+    slip_of_solids: SolidSlip | None  # slip of liquids on solids
     pins: PinnedParts | None  # pinned parts of bodies
     bodies: FreeBodyCoupling | None  # free rigid bodies
     pressure: ImplicitPressure | None  # implicit pressure of a liquid
@@ -101,6 +148,8 @@ class NodalCouplings(NamedTuple):
             self.pressure.apply(dt)
         if self.slip is not None:
             self.slip.apply(dt)
+        if self.slip_of_solids is not None:
+            self.slip_of_solids.apply(dt)
         if self.pins is not None:
             self.pins.apply(engine, dt)
         if self.bodies is not None:
@@ -126,5 +175,6 @@ def make_couplings(
         bodies: Free rigid bodies, or None.
     """
     slip = make_surface_slip(plan, solids, engine)
+    slip_of_solids = None if plan.slip_of_solids is None else SolidSlip(plan, engine)
     pressure = make_implicit_pressure(plan, lattice, engine, ranks)
-    return NodalCouplings(slip, pins, bodies, pressure)
+    return NodalCouplings(slip, slip_of_solids, pins, bodies, pressure)

@@ -186,10 +186,11 @@ def contributions(
 
 
 def fields_near_colliders(plan: Plan) -> tuple[str, ...]:
-    """Return the names of the nodal fields that are summed near colliders and pins alone."""
+    """Return the names of the nodal fields that are summed near surfaces and pins alone."""
     if plan.free_bodies:
         return NEAR_BODIES
-    return GRADIENTS if plan.slip is not None or plan.pins else ()
+    slips = plan.slip is not None or plan.slip_of_solids is not None
+    return GRADIENTS if slips or plan.pins else ()
 
 
 def fields_of_couplings(plan: Plan) -> tuple[str, ...]:
@@ -199,7 +200,8 @@ def fields_of_couplings(plan: Plan) -> tuple[str, ...]:
 
 def near_colliders_of_group(plan: Plan, group: GroupPlan) -> tuple[str, ...]:
     """Return those of these fields to which a group contributes."""
-    slips = plan.slip is not None and plan.slip.phases[group.phase]
+    rules = [rule for rule in (plan.slip, plan.slip_of_solids) if rule is not None]
+    slips = any(rule.phases[group.phase] for rule in rules)
     is_pinned = any(part.phase == group.phase for part in plan.pins)
     if group.is_carried or not (plan.free_bodies or slips or is_pinned):
         return ()

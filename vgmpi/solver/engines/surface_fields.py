@@ -36,9 +36,10 @@ class SurfaceContributions(NamedTuple):
 def is_summed_at_surfaces(plan: Plan) -> bool:
     """Return whether the fields near free bodies are summed at the nodes next to them alone.
 
-    Pinned parts and thin walls read them at more nodes.
+    Pinned parts, thin walls and liquids that stick to solids read them at more nodes.
     """
-    return plan.free_bodies and not plan.pins and plan.sides is None
+    elsewhere = plan.pins or plan.sides is not None or plan.slip_of_solids is not None
+    return plan.free_bodies and not elsewhere
 
 
 def patch_count(plan: Plan) -> int:
