@@ -24,9 +24,10 @@ from typing import NamedTuple
 
 from tests.campaigns.result import Result
 from tests.support import peak_memory
+from vgmpi.planning.cost.run_estimate import PILOT_SECONDS
 
 ROOT = Path(__file__).parents[2]
-SECONDS = 10  # of processor time that a command may take
+SECONDS = 10  # of processor time that a command may take, but for the pilot run of a plan
 EACH = 1e-4  # and for each particle that it makes of a mesh or a capture, and says so
 MOST_SECONDS = 60  # in any case
 WAITING = 1200  # seconds by the wall clock: what waits for something that never comes
@@ -53,6 +54,7 @@ class Said(NamedTuple):
     err: str
     seconds: float
     peak: float
+    allowed: float  # seconds that it may take
 
     def fault(self) -> str:
         """What no command may do whatever it is given; "" if it did none of that."""
@@ -66,7 +68,7 @@ class Said(NamedTuple):
             at = self.err.rfind("\n", 0, found.start()) + 1
             return self.err[at:].splitlines()[0]
         made = sum(int(n) for pair in _MADE.findall(self.err) for n in pair)
-        if self.seconds > SECONDS + EACH * made:
+        if self.seconds > self.allowed + EACH * made:
             return f"{self.seconds:.1f} s of processor time, {made:,} particles made"
         if self.peak > MEGABYTES:
             return f"{self.peak:.0f} MB"
@@ -144,7 +146,8 @@ class _Process:
         line = self.child.stdout.readline()
         code, seconds, peak = json.loads(line) if line else (self.child.wait(), 0.0, 0.0)
         self.errors.seek(0)
-        return Said(code, self.errors.read(), seconds, peak)
+        allowed = SECONDS + PILOT_SECONDS * ("--plan" in command)
+        return Said(code, self.errors.read(), seconds, peak, allowed)
 
 
 def _serve() -> None:

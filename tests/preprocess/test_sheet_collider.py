@@ -68,6 +68,27 @@ def test_distance_of_a_square(cuts):
     assert np.abs(found.normal(x[close]) - normal[close]).max() < 1e-6
 
 
+@pytest.mark.parametrize("name", ["bowl", "box"])
+def test_what_is_far_outside_the_domain_is_not_stored(name):
+    """What is stored is the same; a collider outside the domain is stored whole."""
+    collider = collider_of(SHEETS[name])
+    every = thin_shell(collider, DX)
+    middle = every.start + DX / 4 * np.array(every.front.shape)
+    domain = middle - 0.03, middle + np.array([0.05, 0.04, 0.03])
+    part = thin_shell(collider, DX, domain)
+    first = np.rint((part.start - every.start) / (DX / 2)).astype(int)
+    end = first + part.front.shape
+    ends = domain[0] - 8 * DX, domain[1] + 8 * DX
+    assert (part.start <= np.maximum(ends[0], every.start) + 1e-12).all()
+    assert part.front.size < every.front.size
+    inner = tuple(slice(a, b) for a, b in zip(first, end, strict=True))
+    in_domain = (slice(16, -16),) * 3  # the margin of 8 cells sees beyond the cut
+    for mine, theirs in zip(part[1:], every[1:], strict=True):
+        np.testing.assert_array_equal(mine[in_domain], theirs[inner][in_domain])
+    outside = thin_shell(collider, DX, (domain[0] + 9.0, domain[1] + 9.0))
+    assert outside.front.shape == every.front.shape
+
+
 @pytest.mark.parametrize("name", SHEETS)
 def test_the_two_sides_are_told_apart_up_to_the_edge(name):
     """Points a cell off a face see one side all over the sheet and the other one behind it; what

@@ -123,7 +123,7 @@ def test_a_wall_without_two_sides_is_refused():
     with pytest.raises(
         PlacementError, match="has no two sides: a thin wall may not twist"
     ) as error:
-        with_shell(MoebiusStrip(), True, 0.01)
+        with_shell(MoebiusStrip(), True, 0.01, (1.0, 1.0, 1.0))
     assert error.value.key == "thin"
 
 

@@ -130,12 +130,38 @@ def test_a_fixed_step_gives_its_steps(tmp_path):
     assert steps >= 500 and found.steps == pytest.approx(steps, rel=0.05)
 
 
+FLOATS = """
+[domain]
+size = [0.4, 0.2, 0.2]
+cell = 0.02
+[time]
+end = 0.1
+frames = 2
+[material.water]
+kind = "fluid"
+[material.foam]
+kind = "elastic"
+density = 7e-28
+youngs_modulus = 1e6
+[[object]]
+name = "float"
+material = "foam"
+rigid = true
+shape = { sphere = { center = [0.2, 0.1, 0.15], radius = 0.04 } }
+[[object]]
+name = "pool"
+material = "water"
+shape = { box = [[0, 0, 0], [0.4, 0.2, 0.1]] }
+"""
+
+
 @pytest.mark.parametrize(
     ("text", "why"),
     [
         (FALLS.replace("cell = 0.016", "cell = 0.032"), "it has too few cells"),
         (FALLS.replace("0.016", "0.02").replace(BLOCK, CRUMB), "too small or thin"),
         (FALLS + TAP.replace("0.2]", "0.287]"), "the nozzle leaves the domain"),
+        (FLOATS, "in cells of 0.0\\d+ m the run ends early"),
     ],
 )  # fmt: skip
 def test_it_says_why_it_cannot(tmp_path, caplog, text, why):

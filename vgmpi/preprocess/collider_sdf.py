@@ -182,13 +182,16 @@ def with_free_body(collider: Collider | None, body: FreeBody | None, dx: float) 
     return replace(collider, body=RigidBody(mass, center, inertia, *body[1:]))
 
 
-def with_shell(collider: Collider | None, thin: bool, dx: float) -> Collider | None:
+def with_shell(
+    collider: Collider | None, thin: bool, dx: float, size: tuple[float, float, float]
+) -> Collider | None:
     """Return the collider with its two sides, if it is a thin wall.
 
     Args:
         collider: Collider, or None.
         thin: Whether it is a thin wall.
         dx: Cell size [m].
+        size: Edges of the domain [m].
 
     Raises:
         PlacementError: Its walls have no two sides.
@@ -198,7 +201,9 @@ def with_shell(collider: Collider | None, thin: bool, dx: float) -> Collider | N
     try:
         from .thin_shell import thin_shell  # it imports scipy: only scenes with thin walls wait
 
-        shell = thin_shell(collider, dx)
+        is_at_rest = collider.course is None and collider.body is None
+        domain = (np.zeros(3), np.array(size)) if is_at_rest else None
+        shell = thin_shell(collider, dx, domain)
     except ValueError as error:
         raise PlacementError("thin", str(error)) from None
     if shell is None:

@@ -179,9 +179,9 @@ def _attempt(
 def _build(scene: Scene, k: int) -> BuiltObject:
     """Return object k by itself, with its collider."""
     obj, piece = scene.object[k], build_object(scene, k)
-    collider = with_motion(piece.collider, obj.motion)
-    collider = with_free_body(collider, obj.free_body, scene.domain.cell)
-    return replace(piece, collider=with_shell(collider, obj.thin, scene.domain.cell))
+    cell, size = scene.domain.cell, scene.domain.size
+    collider = with_free_body(with_motion(piece.collider, obj.motion), obj.free_body, cell)
+    return replace(piece, collider=with_shell(collider, obj.thin, cell, size))
 
 
 def _complete(

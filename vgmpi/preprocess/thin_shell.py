@@ -39,6 +39,7 @@ BALL_CELLS = np.array([0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0])  # [
 BALL_TOLERANCE = 1e-3  # [-] of a radius
 CLOSEST_FACES = 16  # balls among which the closest one is sought
 BEHIND_CELLS = 2.5  # [cells] distance from the wall up to which the other side's distance is exact
+OUTSIDE_CELLS = 8.0  # [cells] outside the domain, up to which the sides of a wall are known
 RESET_CELLS = 2.0  # [cells] distance from an edge within which particles may change sides
 _AXES = tuple(np.eye(3, dtype=np.int64))
 
@@ -52,12 +53,16 @@ class _Faces(NamedTuple):
     opposite: np.ndarray  # (n, 3) places next to the opposite face
 
 
-def thin_shell(collider, dx: float) -> ShellLattice | None:
+def thin_shell(
+    collider, dx: float, domain: tuple[np.ndarray, np.ndarray] | None = None
+) -> ShellLattice | None:
     """Return the sides of a collider's walls on a lattice around it; None if it has none.
 
     Args:
         collider: Object with distance(points) -> (m,) [m] and ends() -> corners, both at rest.
         dx: Cell size [m].
+        domain: Lower and upper corner of the domain [m], shape (3,) each: nothing further outside
+            is stored, as that of a collider at rest is never read. None: all of the collider.
 
     Raises:
         ValueError: The wall has no two sides.
@@ -66,7 +71,15 @@ def thin_shell(collider, dx: float) -> ShellLattice | None:
     low, high = collider.ends()
     start = low - WALL_BAND_CELLS * dx
     shape = np.ceil((high - low + 2 * WALL_BAND_CELLS * dx) / h).astype(np.int64) + 1
-    grid = start + h * np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), -1)
+    first = np.zeros(3, np.int64)
+    if domain is not None:
+        margin = OUTSIDE_CELLS * dx
+        lowest = np.maximum(np.floor((domain[0] - margin - start) / h).astype(np.int64), 0)
+        last = np.minimum(np.ceil((domain[1] + margin - start) / h).astype(np.int64) + 1, shape)
+        if (lowest < last).all():
+            first, shape = lowest, last - lowest
+    places = map(np.arange, first, first + shape)
+    grid = start + h * np.stack(np.meshgrid(*places, indexing="ij"), -1)
     phi = _distances(collider, grid)
     normal = _normals(collider, grid.reshape(-1, 3), 0.02 * dx).reshape(grid.shape)
     faces = _faces(collider, grid, phi, normal, dx)
@@ -77,7 +90,7 @@ def thin_shell(collider, dx: float) -> ShellLattice | None:
     front, back = (
         _distance_from_side(collider, faces, side, s, label, grid, phi, dx) for s in (1, -1)
     )
-    return ShellLattice(start, front, back, _kinds(label, phi, dx))
+    return ShellLattice(start + h * first, front, back, _kinds(label, phi, dx))
 
 
 def _distance_from_side(

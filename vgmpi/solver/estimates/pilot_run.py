@@ -58,6 +58,10 @@ class PilotTimeout(RuntimeError):
     """Error of a pilot run that takes longer than it may."""
 
 
+class PilotStopped(RuntimeError):
+    """Error of a pilot run that ends before its first snapshot: in coarser cells it blows up."""
+
+
 def pilot_run(
     scene: Scene, plan: Plan, summary: ParticleSummary, quiet: bool = False,
     max_seconds: float = math.inf,
@@ -83,7 +87,7 @@ def pilot_run(
                 return _play(scene, plan, summary, coarse, max_seconds)
         except SceneError as error:
             reason = error.lines[0]
-        except BlowUp as error:
+        except (BlowUp, PilotStopped) as error:
             reason = str(error)
         except PilotTimeout:  # finer cells take longer
             reason = f"it takes more than {max_seconds:g} s"
@@ -100,7 +104,7 @@ def pilot_run(
 def _without_warnings() -> Iterator[None]:
     """Leave out warnings, which would be about the coarser cells."""
     level = log.level
-    log.setLevel(logging.ERROR)
+    log.setLevel(logging.CRITICAL)
     try:
         yield
     finally:
@@ -187,6 +191,7 @@ def _play(
 
     Raises:
         PilotTimeout: If the steps take longer than `max_seconds`.
+        PilotStopped: If the run ends before its first snapshot.
     """
     start, snapshots = time.monotonic(), []
     with prepared_run(coarse, SerialCommunicator(), Options(None)) as run:
@@ -217,6 +222,8 @@ def _play(
         except PilotTimeout:
             if not snapshots:
                 raise
+    if not snapshots:
+        raise PilotStopped(f"in cells of {coarse.domain.cell:.4g} m the run ends early")
     reached = snapshots[-1].time
     if reached < plan.times[-1]:
         snapshots.append(_extrapolated(plan, snapshots[-1], reached / len(snapshots)))
