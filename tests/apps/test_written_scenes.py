@@ -69,7 +69,7 @@ def test_a_photograph_becomes_a_scene_that_runs(tmp_path, thing, material, suppo
     assert run_to_end(folder / "scene.toml") > -0.1
 
 
-SINKING = "balls", "chelsea", "coffee"  # docs/explanation/known-limitations.md
+SINKING = "balls", "chelsea"  # docs/explanation/known-limitations.md
 
 
 @pytest.mark.parametrize("name", example_photographs.SUMMARIES)

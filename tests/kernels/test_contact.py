@@ -279,9 +279,11 @@ def test_share_of_a_face():
         assert face_fraction(30.0, 3.0, D) == 1.5
 
 
-def meeting(one=-0.05, other=-0.05, a=0, sure=True, known=True, stiff=1e5, friction=0.0):
+def meeting(
+    one=-0.05, other=-0.05, a=0, sure=True, known=True, stiff=1e5, friction=0.0, faces=False
+):
     return contact_impulses.ContactPair(
-        a, 1 if a == 0 else 0, one, other, known, True, sure, 1.0, stiff, friction
+        a, 1 if a == 0 else 0, one, other, known, True, sure, 1.0, stiff, friction, faces
     )
 
 
@@ -397,4 +399,20 @@ def test_what_touches(known, sure, limit):
         for gap, touches in ((limit - 1e-9, near), (limit + 1e-9, False)):
             m = meeting(gap / 2 + off, gap / 2 - off, known=known, sure=sure)
             assert contact_impulses.in_contact(m) == touches
-            assert plain._touching(m.one, m.other, known, sure) == touches
+            assert plain._touching(m.one, m.other, known, sure, False) == touches
+
+
+def test_what_faces_a_wall_and_overlaps_stays_out_of_it():
+    """A wall stops the nodes a cell beyond, too, where a body without reliable normals faces it."""
+    overlap = contact_impulses.WALL_OVERLAP_ROUND
+    for gap, faces, touches in (
+        (-overlap - 1e-9, True, True), (-overlap + 1e-9, True, False), (-2 * overlap, False, False),
+    ):  # fmt: skip
+        m = meeting(-1.0, 1.0 + gap, sure=False, faces=faces)
+        assert contact_impulses.in_contact(m) == touches
+        assert plain._touching(m.one, m.other, True, False, faces) == touches
+    n, least = np.array([0.0, 0.0, 1.0]), contact_impulses.WALL_ALIGNMENT_MIN
+    for cosine, faces in ((-least - 1e-9, True), (-least + 1e-9, False), (1.0, False)):
+        x = 0.3 * np.array([np.sqrt(1.0 - cosine**2), 0.0, cosine])
+        assert contact_impulses.faces_wall(n, np.array([*x, 1.0])) == faces
+        assert plain._PhaseAtNode(0.02, True, 1.0, x, 1.0, 1.0).faces(n) == faces

@@ -29,6 +29,7 @@ from .contact_impulses import (
     contact_fraction,
     distance,
     face_fraction,
+    faces_wall,
     has_surface,
     in_contact,
     normal_is_reliable,
@@ -236,7 +237,7 @@ def _add_phase_pair(pairs, site, a, b, phase, offsets, phases, motions, step, wo
     friction = phases.friction[pa, pb]
     meeting = ContactPair(
         a, b, distance_a, distance_b, both_resolved, ka, is_reliable, area_fraction, modulus,
-        friction,
+        friction, False,
     )  # fmt: skip
     source, target = (a, b) if _driven(motions, pa) else (b, a)
     change, first_pair = work.change[target], pairs
@@ -276,7 +277,7 @@ def _add_rigid_pairs(
         distance_a = depth / step.dx
         meeting = ContactPair(
             a, q, distance_a, distance_b, is_resolved, True, is_reliable, area_fraction,
-            phases.stiff[ph], friction[ph],
+            phases.stiff[ph], friction[ph], a == WALL_ROW and faces_wall(n, mine),
         )  # fmt: skip
         change, first_pair = work.change[q], pairs
         before = change[0], change[1], change[2]

@@ -39,6 +39,10 @@ LAYER_MAX_OVERLAP = 0.25  # [cells] largest overlap that the elastic layer takes
 # [cells] half width of the layer beyond that overlap: the nodes a cell inside the other surface
 # carry half of what has come so far
 OVERLAP_HALF_WIDTH = 1.0
+# [cells] overlap with a wall beyond which it stops the nodes a cell beyond it too, where a body has
+# no reliable normals but faces it: the lowest particles of a round body follow these nodes
+WALL_OVERLAP_ROUND = 0.05
+WALL_ALIGNMENT_MIN = 0.97  # [-] cosine between normals from which a body faces a wall
 LAYER_GAP_FLUID = (
     0.15  # [cells] gap from which the layer pushes phases that flow, whose surface is vaguer
 )
@@ -182,6 +186,20 @@ class ContactPair(NamedTuple):
     share: float  # [-] fraction of a cell face that belongs to the node, if reliable
     stiff: float  # [Pa] modulus of the two materials in series
     friction: float  # [-] Coulomb coefficient
+    faces_wall: bool  # whether a is a wall, which the surface of b faces
+
+
+@device_function
+def faces_wall(n, side):
+    """Return whether the mean normal of a resolved surface is opposite to that of a wall.
+
+    Args:
+        n: Unit normal of the wall, shape (3,).
+        side: Nodal values of the surface, shape (4,).
+    """
+    along = side[0] * n[0] + side[1] * n[1] + side[2] * n[2]
+    least = WALL_ALIGNMENT_MIN * WALL_ALIGNMENT_MIN
+    return along < 0.0 and along * along > least * _squared_length(side, 1.0)
 
 
 @device_function
@@ -193,6 +211,8 @@ def in_contact(m):
             nearest, half_width = -LAYER_MAX_OVERLAP, OVERLAP_HALF_WIDTH
         else:
             nearest, half_width = GAP_RESOLVED, LAYER_HALF_WIDTH
+            if m.faces_wall and gap <= -WALL_OVERLAP_ROUND:
+                half_width = OVERLAP_HALF_WIDTH
         return gap <= nearest and abs(m.one - m.other) <= 2.0 * half_width
     return gap <= (-MAX_OVERLAP_FLUID if m.normals_reliable else GAP_UNRESOLVED)
 

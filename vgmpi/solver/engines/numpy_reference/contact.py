@@ -23,6 +23,8 @@ from vgmpi.kernels.grid.contact_impulses import (
     NORMAL_RELIABILITY_MIN,
     OVERLAP_HALF_WIDTH,
     SWEEPS,
+    WALL_ALIGNMENT_MIN,
+    WALL_OVERLAP_ROUND,
 )
 from vgmpi.kernels.reaction_impulses import WALLS
 from vgmpi.kernels.rigid.prescribed_motion import NO_PRESCRIBED_BODIES
@@ -169,7 +171,8 @@ class Contact:
                     change[b] += push / m[b]
                 part = _contact_fraction(d_a, all_known or not (a is None or sides[a].has_surface))
                 separates = is_pair and slip @ n <= 0
-                if part > 0 and not separates and _touching(d_a, d_b, all_known, is_sure):
+                faces = a is None and rigid[0] < 0 and sides[b].faces(n)  # a wall
+                if part > 0 and not separates and _touching(d_a, d_b, all_known, is_sure, faces):
                     pairs.append((-1 if a is None else a, b, n, friction, part, rigid))
             u += change
             if pairs:
@@ -257,14 +260,8 @@ class _PhaseAtNode:
     def __init__(
         self, dx: float, has_surface: bool, full_mass: float, X: np.ndarray, V: float, mass: float
     ):
-        self.dx, self.has_surface, self.X, self.V, self.mass, self.full_mass = (
-            dx,
-            has_surface,
-            X,
-            V,
-            mass,
-            full_mass,
-        )
+        self.dx, self.has_surface, self.full_mass = dx, has_surface, full_mass
+        self.X, self.V, self.mass = X, V, mass
         self.is_present = bool(X.any()) if has_surface else V > 0
 
     @property
@@ -281,6 +278,10 @@ class _PhaseAtNode:
         if self.has_surface:
             return self.V / (self.mass * self.dx)
         return outside(-(self.X @ n) / (self.V * self.dx))
+
+    def faces(self, n: np.ndarray) -> bool:
+        """Return whether the mean normal is opposite to that of a wall, n."""
+        return bool(-self.X @ n > WALL_ALIGNMENT_MIN * np.linalg.norm(self.X))
 
     def face_fraction(self, distance: float) -> float:
         """Return the fraction of a cell face that belongs to the node."""
@@ -338,19 +339,18 @@ def _normal(a: _PhaseAtNode, b: _PhaseAtNode):
     return None
 
 
-def _touching(distance_a: float, distance_b: float, both_known: bool, is_sure: bool) -> bool:
+def _touching(d_a: float, d_b: float, both_known: bool, is_sure: bool, faces_wall: bool) -> bool:
     """Tell if two surfaces may not approach at a node.
 
-    distance_a, distance_b: distances of the node from both [cells]; both_known: both surfaces are
-    known; is_sure: one is known, and all known ones agree.
+    d_a, d_b: distances of the node from both [cells]; both_known: both surfaces are known; is_sure:
+    one is known, and all known ones agree; faces_wall: a is a wall, which b faces.
     """
     if both_known:
-        gap, half_width = (
-            (-LAYER_MAX_OVERLAP, OVERLAP_HALF_WIDTH) if is_sure
-            else (GAP_RESOLVED, LAYER_HALF_WIDTH)
-        )  # fmt: skip
-        return distance_a + distance_b <= gap and abs(distance_a - distance_b) <= 2 * half_width
-    return distance_a + distance_b <= (-MAX_OVERLAP_FLUID if is_sure else GAP_UNRESOLVED)
+        gap = -LAYER_MAX_OVERLAP if is_sure else GAP_RESOLVED
+        is_deep = is_sure or (faces_wall and d_a + d_b <= -WALL_OVERLAP_ROUND)
+        half_width = OVERLAP_HALF_WIDTH if is_deep else LAYER_HALF_WIDTH
+        return d_a + d_b <= gap and abs(d_a - d_b) <= 2 * half_width
+    return d_a + d_b <= (-MAX_OVERLAP_FLUID if is_sure else GAP_UNRESOLVED)
 
 
 def _contact_fraction(distance: float, is_whole: bool = False) -> float:
