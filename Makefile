@@ -8,6 +8,9 @@ export OMPI_ALLOW_RUN_AS_ROOT = 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM = 1
 export OMPI_MCA_rmaps_base_oversubscribe = 1
 export OMPI_MCA_btl_vader_single_copy_mechanism = none
+# Images of containers often forbid Python to keep what it has compiled; each of the thousands of processes of the
+# tests, each rank, would then compile 380 modules anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help setup demo test check gallery campaigns lint validate docs site matrix clean
 
@@ -44,6 +47,8 @@ PYTEST := $(PY) -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscop
 
 # all but those of tests/long_tests.txt, which check runs: both together run every test once that is not slow.
 # Where their time goes: .venv/bin/python -m tests.benchmarks test-times .cache/tests.xml .cache/check.xml
+# Two tests at a time share the cores: ranks that wait for others leave them to who computes.
+test check: export OMPI_MCA_mpi_yield_when_idle = 1
 test: setup lint
 	$(PYTEST) --part quick --junitxml .cache/tests.xml
 

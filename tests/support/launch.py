@@ -23,6 +23,7 @@ OPEN_MPI = {  # as root, and with more ranks than cores
     "OMPI_MCA_rmaps_base_oversubscribe": "1",
     "OMPI_MCA_hwloc_base_binding_policy": "none",
     "OMPI_MCA_btl_vader_single_copy_mechanism": "none",
+    "OMPI_MCA_mpi_yield_when_idle": "1",  # other tests run beside it on the same cores
 }
 
 
