@@ -7,7 +7,7 @@ Importing this switches the simulator on; it must be imported before numba.
 
 import os
 import sys
-from types import SimpleNamespace
+from types import CodeType, SimpleNamespace
 
 os.environ["NUMBA_ENABLE_CUDASIM"] = "1"
 
@@ -16,6 +16,7 @@ from greenlet import greenlet  # noqa: E402
 from numba.cuda.simulator import kernel, kernelapi  # noqa: E402
 
 SEED: list[int | None] = [None]  # of the order of the threads; None: as they are numbered
+DEPTH = 8  # calls by which a barrier is told from others
 TEAM = [1024]  # threads that a barrier holds: 16 for half warps, of which a block may have several
 
 
@@ -30,16 +31,24 @@ class _Thread:
         self.blockIdx, self.threadIdx = kernel.Dim3(*grid_point), kernel.Dim3(*block_point)
         x, y, z = block_point
         self.thread_id = x + block_dim[0] * (y + block_dim[1] * z)
-        self.at = ()
+        self.at: list[tuple[CodeType, int]] = []
         self.line = greenlet(work)
 
     def syncthreads(self):
         frame, at = sys._getframe(2), []
-        while frame is not None and len(at) < 8:
-            at.append((frame.f_code.co_name, frame.f_lineno))
+        while frame is not None and len(at) < DEPTH:
+            at.append((frame.f_code, frame.f_lasti))
             frame = frame.f_back
-        self.at = tuple(at)
+        self.at = at
         self.line.parent.switch()
+
+    def lines(self) -> str:
+        """Functions and lines at which it waits, from the innermost; slow."""
+        found = []
+        for code, last in self.at:
+            (line,) = (line for start, end, line in code.co_lines() if start <= last < end)
+            found.append(f"{code.co_name}:{line}")
+        return " < ".join(found)
 
 
 _now: list[_Thread | None] = [None]
@@ -67,9 +76,10 @@ def _to_the_next_barrier(team):
         _now[0] = one
         one.line.switch()
     live = [one for one in team if not one.line.dead]
-    places, ended = {one.at for one in live}, len(team) - len(live)
-    if len(places) > 1 or (live and ended):
-        raise Divergence(f"threads wait at {sorted(places)}, {ended} have ended")
+    ended = len(team) - len(live)
+    if live and (ended or any(one.at != live[0].at for one in live)):
+        places = sorted({one.lines() for one in live})
+        raise Divergence(f"threads wait at {places}, {ended} have ended")
     return live
 
 
@@ -82,5 +92,11 @@ def _shared(self, shape, dtype, alignment=None):
     return self._allocations[key]
 
 
+def _plain(array):
+    """As numpy's own: the simulator wraps each access to what a kernel is called with."""
+    return array._ary
+
+
 kernel.BlockManager, kernelapi.FakeCUDAShared.array = _Block, _shared
+kernel.FakeWithinKernelCUDAArray = _plain
 kernelapi.threading = SimpleNamespace(current_thread=lambda: _now[0])
