@@ -16,7 +16,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 help:
 	@echo "make demo      set-up, a simulation on 2 ranks, its video"
-	@echo "make test      set-up, ruff, mypy, and the tests that stand for all: ten minutes on two cores"
+	@echo "make test      set-up, ruff, mypy, and the tests that stand for all: half an hour on two cores"
 	@echo "make check     the tests that make test leaves out: tests/long_tests.txt"
 	@echo "make gallery   the showcases on 2 ranks, their videos and docs/gallery.md: an hour"
 	@echo "make campaigns kills, full disks, damaged files and odd inputs in large numbers: minutes"

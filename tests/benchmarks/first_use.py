@@ -40,7 +40,8 @@ def time_command(words: list[str], environment: dict[str, str]) -> tuple[float, 
     """
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     begin = time.monotonic()
-    done = subprocess.run(words, env=environment, capture_output=True, text=True)
+    home = environment["HOME"]  # not the folder of a checkout: Python would take that one
+    done = subprocess.run(words, cwd=home, env=environment, capture_output=True, text=True)
     wall = time.monotonic() - begin
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     if done.returncode:
