@@ -12,7 +12,9 @@ without gravity keeps momentum and angular momentum to rounding.
 import numpy as np
 import pytest
 
-from tests.physics.test_surface_slip import DX, MIDDLE, OMEGA, SCENE
+import vgmpi
+from tests.physics.test_cylinder_couette import mean_torques
+from tests.physics.test_surface_slip import DX, ETA, MIDDLE, OMEGA, SCENE, R
 from tests.physics.test_viscous_sphere import CELLS, DENSITIES, VISCOSITY, G, image_factor
 from tests.physics.test_viscous_sphere import SCENE as SPHERE
 from tests.support.simulate import advance, begin, by_id
@@ -101,6 +103,22 @@ def test_the_liquid_rests_at_the_surface_of_a_slab(tmp_path, low, slip, toleranc
          unit="cells", kind="absolute", source="Couette; Navier 1823")  # fmt: skip
     shear = float(slope) * (HIGH - low + slip) / DX
     held(f"{case}: shear rate", shear, 1.0, 0.06 if slip else 0.01, source="Couette; Navier 1823")
+
+
+@pytest.mark.slow
+def test_the_torque_on_a_slab_is_that_on_the_plate(tmp_path):
+    probes = "".join(
+        f'[[probe]]\nname = "{name}"\nsampling_rate = 100\ncollider = "{name}"\n'
+        for name in ("slab", "lid")
+    )
+    low = 0.043
+    text = gap_above_slab(low, 0.0) + probes
+    run = vgmpi.run(vgmpi.load(tmp_path / "plates.toml", text=text))
+    torque = mean_torques(run, "slab", "lid", begin=0.3)
+    theory = np.pi * ETA * OMEGA * R**4 / 2 / (HIGH - low)
+    for name, sign in (("slab", 1.0), ("lid", -1.0)):
+        held(f"liquid between a plate and a slab of rubber: torque on the {name}",
+             sign * torque[name] / theory, 1.0, 0.02, source="Couette")  # fmt: skip
 
 
 @pytest.mark.slow

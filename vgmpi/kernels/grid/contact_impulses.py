@@ -198,8 +198,8 @@ def faces_wall(n, side):
         side: Nodal values of the surface, shape (4,).
     """
     along = side[0] * n[0] + side[1] * n[1] + side[2] * n[2]
-    least = WALL_ALIGNMENT_MIN * WALL_ALIGNMENT_MIN
-    return along < 0.0 and along * along > least * _squared_length(side, 1.0)
+    cosine2 = WALL_ALIGNMENT_MIN * WALL_ALIGNMENT_MIN
+    return along < 0.0 and along * along > cosine2 * _squared_length(side, 1.0)
 
 
 @device_function

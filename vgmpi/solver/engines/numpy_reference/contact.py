@@ -137,8 +137,7 @@ class Contact:
             Number of nodes with contact.
         """
         present = mass > self.least[:, None, None, None]
-        several = present.sum(0) + self.near + self.planes > 1
-        acted = 0
+        several, acted = present.sum(0) + self.near + self.planes > 1, 0
         for node in map(tuple, np.argwhere(several & present.any(0))):
             index = (slice(None), *node)
             sides = [
