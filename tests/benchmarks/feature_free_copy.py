@@ -93,6 +93,7 @@ ANSWERS: dict[str, dict[str, str]] = {
         "free_body_coupling": "return None",
     },
     "vgmpi.kernels.rigid.surface_slip": {},
+    "vgmpi.kernels.rigid.solid_slip": {},
     "vgmpi.scene.pinned_parts": {
         "validate_pinned": "return []",
         "validate_pinned_parts": "return []",
@@ -112,9 +113,10 @@ ANSWERS: dict[str, dict[str, str]] = {
     "vgmpi.solver.boundary.wall_sides": {"wall_sides": "return None"},
     "vgmpi.solver.boundary.surface_coupling": {
         "make_surface_slip": "return None",
+        "make_solid_slip": "return None",
         "set_tables": "return",
         "apply": "return",
-        "make_couplings": "return NodalCouplings(None, None, None, None)",
+        "make_couplings": "return NodalCouplings(*[None] * 5)",
     },
 }
 PLAIN = """

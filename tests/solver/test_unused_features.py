@@ -308,7 +308,7 @@ FEATURES = {
             for owner in ("engine.layers", "tables.asked", "tables.contributes") for a in "xyz"
         )},
         {"ElasticLaw", "SurfaceDistance", "Offsets", "VelocityGradient", "NodesOfPhases",
-         "SolidSlipLaw", "SlipLaw", "SlipScratch", "apply_solid_slip"},
+         "SolidSlipLaw", "SlipLaw", "apply_solid_slip"},
     ),
     "a collider": (PLAIN + POST, {"engine.layers.offsets", "solids"}, {"Offsets"}),
     "a moving collider": (

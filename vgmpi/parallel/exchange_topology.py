@@ -326,7 +326,9 @@ def _who_contributes(
     every = np.ones(len(index), bool)
     near_solid = ~every if solid is None else _by_solid(box, solid)[index]
     contributes = {name: every for name in needs.layers}
-    wanted = _wants_offset(box, index, phase, needs.contact, solid)[index]
+    wanted = near_solid.copy()
+    if needs.contact:
+        wanted |= _several_phases(box, index, phase)[index]
     if needs.apart is True:
         contributes["impulses"] = every
     elif needs.apart:
@@ -351,17 +353,12 @@ def _who_contributes(
     return contributes
 
 
-def _wants_offset(box, index, phase, contact: bool, solid) -> np.ndarray:
-    """Return True for each block of the box whose patches need volume and offset."""
-    wants = box.full(False, bool)
-    if contact:
-        lowest, highest = box.full(1 << 30, np.int64), box.full(-1, np.int64)
-        np.minimum.at(lowest, index, phase)
-        np.maximum.at(highest, index, phase)
-        wants |= box.spread(lowest, np.minimum) < box.spread(highest, np.maximum)
-    if solid is not None:
-        wants |= _by_solid(box, solid)
-    return wants
+def _several_phases(box, index, phase) -> np.ndarray:
+    """Return True for each block of the box at most one block from segments of several phases."""
+    lowest, highest = box.full(1 << 30, np.int64), box.full(-1, np.int64)
+    np.minimum.at(lowest, index, phase)
+    np.maximum.at(highest, index, phase)
+    return box.spread(lowest, np.minimum) < box.spread(highest, np.maximum)
 
 
 def _close(box, index, phase, phases: int) -> np.ndarray:

@@ -103,14 +103,14 @@ def surface_normal(normal, a, b, mass_a, mass_b, resolved_a, resolved_b, dx):
         wb = _normal_agreement_weight(b, mass_b) if resolved_b else 0.0
         for c in range(3):
             normal[c] = wa * a[c] - wb * b[c]
-        return _normalize(normal, 0.0)
+        return normalize(normal, 0.0)
     for c in range(3):
         normal[c] = -a[c]
-    if _normalize(normal, 1e-6 * dx * a[3]):
+    if normalize(normal, 1e-6 * dx * a[3]):
         return True
     for c in range(3):
         normal[c] = b[c]
-    return _normalize(normal, 1e-6 * dx * b[3])
+    return normalize(normal, 1e-6 * dx * b[3])
 
 
 @device_function
@@ -143,7 +143,7 @@ def _squared_length(side, mass):
 
 
 @device_function
-def _normalize(n, min_length):
+def normalize(n, min_length):
     """Scale a vector (3,) to length 1; return False if it is not longer than `min_length`."""
     size = np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
     if not size > min_length:

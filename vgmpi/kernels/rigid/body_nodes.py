@@ -16,7 +16,7 @@ from vgmpi.kernels.step_limits import CONTACT_MASS_FLOOR
 from vgmpi.kernels.wall_boundary import SEPARATE, SLIP, STICK
 from vgmpi.runtime.jit import always_inline, array_function, device_function, kernel
 
-from .sdf_sampling import SampledSdf, sample_surface
+from .sdf_sampling import SampledSdf, sample_surface, set_node_indices
 
 REACH_CELLS = 1.5  # [cells] distance from a surface, both ways, up to which nodes take impulses
 # [cells] distance outside up to which impulses act against approach
@@ -272,9 +272,7 @@ def find_contacts(nodes, tables, bodies, phases, walls, dt, dx, out, count):
             k = bodies.number_of[nodes.whose[row, node]]
             if k < 0:
                 continue
-            ijk[0] = 4 * tables.at[b, 0] - 1 + node // 16
-            ijk[1] = 4 * tables.at[b, 1] - 1 + node // 4 % 4
-            ijk[2] = 4 * tables.at[b, 2] - 1 + node % 4
+            set_node_indices(ijk, tables.at[b], node)
             for c in range(3):
                 n[c] = nodes.surfaces[row, node, c]
             if _is_close_to_wall(ijk, walls.cells):

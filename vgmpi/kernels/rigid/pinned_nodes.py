@@ -15,7 +15,12 @@ from vgmpi.kernels.reaction_impulses import add_contact_reaction, set_block, set
 from vgmpi.runtime.jit import device_function, kernel
 
 from .body_nodes import REACH_CELLS, mean_gradient
-from .sdf_sampling import distance_from_collider, surface_velocity, turn_gradient
+from .sdf_sampling import (
+    distance_from_collider,
+    set_node_indices,
+    surface_velocity,
+    turn_gradient,
+)  # fmt: skip
 from .surface_slip import stopped_axes
 
 
@@ -91,9 +96,7 @@ def _set_place(ijk, x, corner, node, dx):
         node: Number of the node in its block.
         dx: Cell size [m].
     """
-    ijk[0] = 4 * corner[0] - 1 + node // 16
-    ijk[1] = 4 * corner[1] - 1 + node // 4 % 4
-    ijk[2] = 4 * corner[2] - 1 + node % 4
+    set_node_indices(ijk, corner, node)
     for c in range(3):
         x[c] = ijk[c] * dx
 

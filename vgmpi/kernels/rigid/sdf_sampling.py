@@ -70,6 +70,20 @@ def _store_no_side(movers, m, b, node, side):
     pass
 
 
+@device_function
+def set_node_indices(ijk, corner, node):
+    """Store the indices of a node in the domain.
+
+    Args:
+        ijk: Node indices (out), shape (3,).
+        corner: Coordinates of the block, shape (3,).
+        node: Number of the node in its block.
+    """
+    ijk[0] = 4 * corner[0] - 1 + node // 16
+    ijk[1] = 4 * corner[1] - 1 + node // 4 % 4
+    ijk[2] = 4 * corner[2] - 1 + node % 4
+
+
 @always_inline
 def own_position(movers, m, x, own):
     """Compute the initial position of a collider's point.

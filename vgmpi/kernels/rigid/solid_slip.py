@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vgmpi.kernels.grid.contact_impulses import distance, normalize
 from vgmpi.kernels.kernel_arguments import Sums
 from vgmpi.kernels.reaction_impulses import add_prescribed_reaction, set_block, set_node
 from vgmpi.kernels.step_limits import CONTACT_MASS_FLOOR
@@ -27,6 +28,7 @@ from .body_nodes import (
     tangential_part,
     touches_surface,
 )
+from .sdf_sampling import set_node_indices
 from .surface_slip import stopped_axes
 
 
@@ -47,7 +49,7 @@ class NodesOfPhases(NamedTuple):
 
 
 class SlipScratch(NamedTuple):
-    """Scratch of one thread: vectors of shape (3,)."""
+    """Vectors of one node, shape (3,) each."""
 
     normal: np.ndarray  # outward normal of the solid
     slope: np.ndarray  # change of the liquid's velocity per cell along it
@@ -64,12 +66,9 @@ def _find_surface(nodes, phases, p, nb, node, normal, dx):
     if not mass > CONTACT_MASS_FLOOR * phases.least[p]:
         return math.inf
     side = nodes.offsets[nb, 4 * node : 4 * node + 4]
-    size = math.sqrt(side[0] * side[0] + side[1] * side[1] + side[2] * side[2])
-    if not size > 0.0:
-        return math.inf
     for c in range(3):
-        normal[c] = side[c] / size
-    return side[3] / (mass * dx)
+        normal[c] = side[c]
+    return distance(normal, 1.0, side, mass, True, dx) if normalize(normal, 0.0) else math.inf
 
 
 @device_function
@@ -78,7 +77,7 @@ def _store_impulse(nodes, law, phases, pair, flat, outside, dt, dx, scratch):
 
     Args:
         nodes: NodesOfPhases.
-        law: SlipLaw between phases.
+        law: SolidSlipLaw.
         phases: Constants of the phases.
         pair: Phases of the liquid and of the solid.
         flat: Offsets of both in the flat nodal values.
@@ -129,7 +128,7 @@ def _apply_impulse(nodes, is_driven, flat, axes, scratch):
 
 
 @kernel
-def apply_solid_slip(rows, nodes, tables, law, phases, walls, dt, dx, scratch, reaction):
+def apply_solid_slip(rows, nodes, tables, law, phases, walls, dt, dx, reaction):
     """Apply the slip of viscous liquids on solids at the nodes of some blocks.
 
     Args:
@@ -141,16 +140,16 @@ def apply_solid_slip(rows, nodes, tables, law, phases, walls, dt, dx, scratch, r
         walls: Walls of the domain.
         dt: Time step [s].
         dx: Cell size [m].
-        scratch: SlipScratch of the thread (in/out).
         reaction: Reaction sums of the thread (in/out), or None.
     """
     ijk = np.zeros(3, np.int64)
+    scratch = SlipScratch(
+        np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
+    )
     for b in rows:
         set_block(reaction, b)
         for node in range(64):
-            ijk[0] = 4 * tables.at[b, 0] - 1 + node // 16
-            ijk[1] = 4 * tables.at[b, 1] - 1 + node // 4 % 4
-            ijk[2] = 4 * tables.at[b, 2] - 1 + node % 4
+            set_node_indices(ijk, tables.at[b], node)
             axes = stopped_axes(ijk, walls)
             if axes < 0:
                 continue

@@ -35,6 +35,7 @@ from vgmpi.kernels.rigid.body_nodes import (
     tangential_part,
     touches_surface,
 )
+from vgmpi.kernels.rigid.sdf_sampling import set_node_indices
 from vgmpi.kernels.wall_boundary import SLIP, STICK
 from vgmpi.runtime.jit import device_function, kernel
 
@@ -115,9 +116,7 @@ def apply_slip(rows, nodes, tables, law, phases, walls, dt, dx, reaction):
             if not abs(d) < REACH_CELLS * dx:
                 continue
             collider = nodes.whose[row, node] if len(nodes.whose) > 0 else 0
-            ijk[0] = 4 * tables.at[b, 0] - 1 + node // 16
-            ijk[1] = 4 * tables.at[b, 1] - 1 + node // 4 % 4
-            ijk[2] = 4 * tables.at[b, 2] - 1 + node % 4
+            set_node_indices(ijk, tables.at[b], node)
             axes = stopped_axes(ijk, walls)
             if axes < 0:
                 continue

@@ -1,11 +1,12 @@
 """Slip of liquids on colliders and solids, and all that couples the nodes in a step."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from vgmpi.kernels.rigid import solid_slip, surface_slip
 from vgmpi.kernels.rigid.body_nodes import SlipLaw
+from vgmpi.kernels.rigid.solid_slip import SolidSlipLaw
 from vgmpi.parallel.block_lattice import BlockLattice
 from vgmpi.parallel.block_ownership import BlockDirectory
 from vgmpi.parallel.communicator import SerialCommunicator
@@ -18,7 +19,59 @@ from .pinned_coupling import PinnedParts
 
 
 class SurfaceSlip:
-    """Slip of viscous liquids on the colliders at the nodes of a rank."""
+    """Slip of viscous liquids on surfaces at the nodes of a rank."""
+
+    kernel: Any  # applies it at the nodes of some blocks
+
+    def __init__(self, plan: Plan, law: SlipLaw | SolidSlipLaw, engine):
+        """Take what the slip depends on.
+
+        Args:
+            plan: Plan of the run.
+            law: Slip of the phases.
+            engine: Engine.
+        """
+        self.plan, self.law, self.engine = plan, law, engine
+        self.tables: ExchangeTopology | None = None
+        self.shares: list[np.ndarray] = []
+
+    def blocks_of(self, tables: ExchangeTopology) -> np.ndarray:
+        """Return which blocks have such surfaces, shape (blocks,) bool."""
+        raise NotImplementedError
+
+    def nodes_of(self, *fields):
+        """Return the nodes as the kernel takes them.
+
+        Args:
+            fields: Velocities, offsets, and the three fields of velocity gradients.
+        """
+        raise NotImplementedError
+
+    def apply(self, dt: float) -> None:
+        """Change the velocities of the nodes next to such surfaces in a step of dt [s]."""
+        engine, layers = self.engine, self.engine.layers
+        if self.tables is not engine.tables:
+            self.tables = engine.tables
+            rows = np.flatnonzero(self.blocks_of(engine.tables))
+            self.shares = np.array_split(rows, engine.threads)
+        nodes = self.nodes_of(
+            layers["momentum"].nodes, layers["offsets"].nodes,
+            tuple(layers[name].tables for name in GRADIENTS),
+        )  # fmt: skip
+        engine.each(self._apply, nodes, dt)
+
+    def _apply(self, thread: int, nodes, dt: float) -> None:
+        engine = self.engine
+        engine.call_if_rows(
+            (), self.kernel, self.shares[thread], nodes, engine.blocks, self.law, engine.phases,
+            engine.walls, dt, self.plan.dx, engine.room[thread].given,
+        )  # fmt: skip
+
+
+class ColliderSlip(SurfaceSlip):
+    """Slip of viscous liquids on colliders."""
+
+    kernel = staticmethod(surface_slip.apply_slip)
 
     def __init__(self, plan: Plan, solids, engine):
         """Take the slip lengths of a plan.
@@ -29,45 +82,26 @@ class SurfaceSlip:
             engine: Engine.
         """
         assert plan.slip is not None
-        self.plan, self.solids, self.engine = plan, solids, engine
         lengths, viscosities = np.array(plan.slip.lengths), np.array(plan.slip.viscosities)
         if plan.free_bodies:
             lengths[solids.is_free] = np.inf  # free bodies couple by themselves
-        self.law = SlipLaw(lengths, viscosities)
-        self.tables: ExchangeTopology | None = None
-        self.shares: list[np.ndarray] = []
+        super().__init__(plan, SlipLaw(lengths, viscosities), engine)
+        self.solids = solids
 
-    def apply(self, dt: float) -> None:
-        """Change the velocities of the nodes next to colliders in a step of dt [s]."""
-        engine = self.engine
-        if self.tables is not engine.tables:
-            self.tables = engine.tables
-            close = np.flatnonzero(self.tables.solid >= 0)
-            self.shares = np.array_split(close, engine.threads)
-        layers = engine.layers
-        nodes = surface_slip.NodesNearColliders(
-            self.solids.nodes, self.solids.moves, self.solids.whose, layers["momentum"].nodes,
-            layers["offsets"].nodes, tuple(layers[name].tables for name in GRADIENTS),
-        )  # fmt: skip
-        engine.each(self._apply, nodes, dt)
+    def blocks_of(self, tables: ExchangeTopology) -> np.ndarray:
+        """Return which blocks are near colliders, shape (blocks,) bool."""
+        return tables.solid >= 0
 
-    def _apply(self, thread: int, nodes, dt: float) -> None:
-        engine = self.engine
-        engine.call_if_rows(
-            (), surface_slip.apply_slip, self.shares[thread], nodes, engine.blocks, self.law,
-            engine.phases, engine.walls, dt, self.plan.dx, engine.room[thread].given,
-        )  # fmt: skip
+    def nodes_of(self, *fields) -> surface_slip.NodesNearColliders:
+        """Return the nodes near colliders; fields: see `SurfaceSlip.nodes_of`."""
+        solids = self.solids
+        return surface_slip.NodesNearColliders(solids.nodes, solids.moves, solids.whose, *fields)
 
 
-def make_surface_slip(plan: Plan, solids, engine) -> SurfaceSlip | None:
-    """Return the slip of a scene's liquids on its colliders, or None if they slip freely."""
-    if plan.slip is None or solids is None:
-        return None
-    return SurfaceSlip(plan, solids, engine)
+class SolidSlip(SurfaceSlip):
+    """Slip of viscous liquids on deformable bodies."""
 
-
-class SolidSlip:
-    """Slip of viscous liquids on solids at the nodes of a rank."""
+    kernel = staticmethod(solid_slip.apply_solid_slip)
 
     def __init__(self, plan: Plan, engine):
         """Take the slip lengths of a plan.
@@ -81,41 +115,33 @@ class SolidSlip:
         driven = np.array([phase.driven for phase in plan.phases])
         rows = np.full(phases, -1) if engine.driven is None else engine.driven.ways.row
         law = SlipLaw(np.array(slip.lengths), np.array(slip.viscosities))
-        self.law = solid_slip.SolidSlipLaw(law, driven, rows)
-        self.plan, self.engine = plan, engine
-        self.tables: ExchangeTopology | None = None
-        self.shares: list[np.ndarray] = []
-        self.scratch = [
-            solid_slip.SlipScratch(*np.zeros((6, 3))) for _ in range(engine.threads)
-        ]  # fmt: skip
+        super().__init__(plan, SolidSlipLaw(law, driven, rows), engine)
 
-    def apply(self, dt: float) -> None:
-        """Change the velocities of the nodes at which phases meet in a step of dt [s]."""
-        engine = self.engine
-        if self.tables is not engine.tables:
-            self.tables = engine.tables
-            several = self.tables.meets & (np.diff(self.tables.first) > 1)
-            self.shares = np.array_split(np.flatnonzero(several), engine.threads)
-        layers = engine.layers
-        nodes = solid_slip.NodesOfPhases(
-            layers["momentum"].nodes, layers["offsets"].nodes,
-            tuple(layers[name].tables for name in GRADIENTS),
-        )  # fmt: skip
-        engine.each(self._apply, nodes, dt)
+    def blocks_of(self, tables: ExchangeTopology) -> np.ndarray:
+        """Return in which blocks several phases meet, shape (blocks,) bool."""
+        return tables.meets & (np.diff(tables.first) > 1)
 
-    def _apply(self, thread: int, nodes, dt: float) -> None:
-        engine = self.engine
-        engine.call_if_rows(
-            (), solid_slip.apply_solid_slip, self.shares[thread], nodes, engine.blocks, self.law,
-            engine.phases, engine.walls, dt, self.plan.dx, self.scratch[thread],
-            engine.room[thread].given,
-        )  # fmt: skip
+    def nodes_of(self, *fields) -> solid_slip.NodesOfPhases:
+        """Return the nodes; fields: see `SurfaceSlip.nodes_of`."""
+        return solid_slip.NodesOfPhases(*fields)
+
+
+def make_surface_slip(plan: Plan, solids, engine) -> ColliderSlip | None:
+    """Return the slip of a scene's liquids on its colliders, or None if they slip freely."""
+    if plan.slip is None or solids is None:
+        return None
+    return ColliderSlip(plan, solids, engine)
+
+
+def make_solid_slip(plan: Plan, engine) -> SolidSlip | None:
+    """Return the slip of a scene's liquids on its solids, or None if they slip freely."""
+    return None if plan.slip_of_solids is None else SolidSlip(plan, engine)
 
 
 class NodalCouplings(NamedTuple):
     """Couplings of the nodes, after all that acts at each node alone."""
 
-    slip: SurfaceSlip | None  # slip of liquids on colliders
+    slip: ColliderSlip | None  # slip of liquids on colliders
     slip_of_solids: SolidSlip | None  # slip of liquids on solids
     pins: PinnedParts | None  # pinned parts of bodies
     bodies: FreeBodyCoupling | None  # free rigid bodies
@@ -174,7 +200,6 @@ def make_couplings(
         pins: Pinned parts, or None.
         bodies: Free rigid bodies, or None.
     """
-    slip = make_surface_slip(plan, solids, engine)
-    slip_of_solids = None if plan.slip_of_solids is None else SolidSlip(plan, engine)
+    slip, slip_of_solids = make_surface_slip(plan, solids, engine), make_solid_slip(plan, engine)
     pressure = make_implicit_pressure(plan, lattice, engine, ranks)
     return NodalCouplings(slip, slip_of_solids, pins, bodies, pressure)

@@ -58,10 +58,6 @@ class PilotTimeout(RuntimeError):
     """Error of a pilot run that takes longer than it may."""
 
 
-class PilotStopped(RuntimeError):
-    """Error of a pilot run that ends before its first snapshot: in coarser cells it blows up."""
-
-
 def pilot_run(
     scene: Scene, plan: Plan, summary: ParticleSummary, quiet: bool = False,
     max_seconds: float = math.inf,
@@ -83,11 +79,11 @@ def pilot_run(
         try:
             coarse = _coarsened(scene, grid)  # what fits the scene's cells may not fit these
             log.log(level, "pilot run in cells of %.4g m", coarse.domain.cell)
-            with _without_warnings():
+            with _without_messages():
                 return _play(scene, plan, summary, coarse, max_seconds)
         except SceneError as error:
             reason = error.lines[0]
-        except (BlowUp, PilotStopped) as error:
+        except BlowUp as error:
             reason = str(error)
         except PilotTimeout:  # finer cells take longer
             reason = f"it takes more than {max_seconds:g} s"
@@ -101,8 +97,8 @@ def pilot_run(
 
 
 @contextlib.contextmanager
-def _without_warnings() -> Iterator[None]:
-    """Leave out warnings, which would be about the coarser cells."""
+def _without_messages() -> Iterator[None]:
+    """Leave out warnings and errors, which would be about the coarser cells."""
     level = log.level
     log.setLevel(logging.CRITICAL)
     try:
@@ -191,7 +187,7 @@ def _play(
 
     Raises:
         PilotTimeout: If the steps take longer than `max_seconds`.
-        PilotStopped: If the run ends before its first snapshot.
+        BlowUp: If the run ends before its first snapshot.
     """
     start, snapshots = time.monotonic(), []
     with prepared_run(coarse, SerialCommunicator(), Options(None)) as run:
@@ -223,7 +219,7 @@ def _play(
             if not snapshots:
                 raise
     if not snapshots:
-        raise PilotStopped(f"in cells of {coarse.domain.cell:.4g} m the run ends early")
+        raise BlowUp(f"in cells of {coarse.domain.cell:.4g} m the run ends early")
     reached = snapshots[-1].time
     if reached < plan.times[-1]:
         snapshots.append(_extrapolated(plan, snapshots[-1], reached / len(snapshots)))
