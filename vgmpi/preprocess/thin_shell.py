@@ -111,13 +111,15 @@ def _distance_from_side(
         phi: Their distances from the wall [m].
         dx: Cell size [m].
     """
+    out = np.where(label == s, phi, -(phi + MAX_THICKNESS_CELLS * dx))
     foot, normal = faces.foot[side == s], faces.normal[side == s]
+    if not len(foot):  # this side is too far outside the domain
+        return out
     radius = np.zeros(len(foot))
     for rho in BALL_CELLS * dx:
         touches = collider.distance(foot + rho * normal) >= (1.0 - BALL_TOLERANCE) * rho
         radius = np.where(touches, rho, radius)
     tree = scipy.spatial.cKDTree(foot)
-    out = np.where(label == s, phi, -(phi + MAX_THICKNESS_CELLS * dx))
     covered = np.argwhere((label != s) & (phi < BEHIND_CELLS * dx))
     x = grid[tuple(covered.T)]
     number = np.minimum(tree.query(x, k=CLOSEST_FACES)[1], len(foot) - 1)
@@ -168,7 +170,8 @@ def _faces(collider, grid, phi: np.ndarray, normal: np.ndarray, dx: float) -> _F
     thin = np.isfinite(leave) & (leave > 1e-6 * dx) & (leave <= MAX_THICKNESS_CELLS * dx)
     index, n, foot, leave = index[thin], n[thin], foot[thin], leave[thin]
     h = SDF_SPACING_CELLS * dx
-    beyond = foot - (leave + 0.25 * dx)[:, None] * n
+    # a spacing beyond the opposite face: the closest lattice point is outside the wall, next to it
+    beyond = foot - (leave + h)[:, None] * n
     m = _normals(collider, beyond, 0.02 * dx)
     facing = (n * m).sum(1) < -OPPOSITE
     opposite = np.rint((beyond - grid[0, 0, 0]) / h).astype(np.int64)
