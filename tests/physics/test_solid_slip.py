@@ -77,6 +77,28 @@ difference = [
 ]
 """
 
+JELLY = """
+[domain]
+size = [0.6, 0.6, 0.45]
+cell = 0.015
+boundary = {{ default = "open", bottom = "stick" }}
+[time]
+end = 0.8
+[material]
+honey = {{ preset = "honey", kind = "fluid", max_speed = 3, max_compression = 0.04 }}
+jelly = {{ kind = "elastic", density = 1050, youngs_modulus = 2e4 }}
+[[object]]
+name = "jelly"
+material = "jelly"
+shape = {{ box = [[0.18, 0.18, 0], [0.42, 0.42, 0.15]] }}
+{slip}
+[[inlet]]
+name = "honey"
+material = "honey"
+disc = {{ center = [0.3, 0.3, 0.4], radius = 0.035 }}
+speed = 0.9
+"""
+
 
 def gap_above_slab(low: float, slip: float) -> str:
     """Return the scene of plates with a slab of rubber in place of the lower one."""
@@ -164,3 +186,14 @@ def test_a_ball_in_honey_hands_on_momentum_and_loses_none(tmp_path, slip):
     assert np.abs(after[1] - before[1]).max() < 1e-11 * scale[1]
     assert after[2][2] < 0.8 * before[2][2]  # the honey takes part of the spin
     assert after[3][0] < 0.9 * before[3][0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("slip, largest", [("", 1.1), ("slip_length = 0", 1.45)])
+def test_the_skin_of_a_jelly_under_a_jet_of_honey_is_not_torn(tmp_path, slip, largest):
+    simulation, _ = begin(tmp_path, JELLY.format(slip=slip))
+    advance(simulation, 0.8)
+    F, thing = by_id(simulation, "F", "object")
+    stretch = np.linalg.svd(F[thing == 0].reshape(-1, 3, 3), compute_uv=False).max()
+    print(f"{slip or 'free slip'}: largest stretch {stretch:.2f}")
+    assert stretch < largest
