@@ -1,6 +1,5 @@
 """vgmpi photo --demo: each example makes a scene; what is wrong with the flags is one line."""
 
-import re
 import sys
 import tomllib
 
@@ -14,26 +13,14 @@ from vgmpi.apps.photo.__main__ import main
 
 pytest.importorskip("cv2", reason="no OpenCV: pip install 'vgmpi[images]'")
 pytest.importorskip("tomlkit", reason="no tomlkit: pip install 'vgmpi[images]'")
-FROM_SCIKIT_IMAGE = ("coffee", "chelsea", "rocket")
-# dB of the worst object and of the whole picture
-AGREEMENT = {
-    "coffee": (26, 29), "chelsea": (35, 35), "rocket": (25, 35), "milk": (31, 38),
-    "tower": (29, 38), "balls": (30, 38),
-}  # fmt: skip
 
 
-@pytest.mark.parametrize("name", example_photographs.SUMMARIES)
-def test_an_example_makes_a_scene(name, tmp_path, capfd):
-    if name in FROM_SCIKIT_IMAGE:
-        pytest.importorskip("skimage", reason="scikit-image has the photograph")
-    assert main(["--demo", name, "-o", str(tmp_path)]) == 0
-    text = capfd.readouterr().out
-    objects = tomllib.loads((tmp_path / "scene.toml").read_text())["object"]
-    agreement = [float(v) for v in re.findall(r"to ([\d.]+) dB", text)]
-    print(name, agreement)
-    *inside, total = agreement
-    assert len(inside) == len(objects)
-    assert min(inside) > AGREEMENT[name][0] and total > AGREEMENT[name][1]
+def test_an_example_makes_a_scene(tmp_path, capfd):
+    """Those of all run to their end in tests/apps/test_written_scenes.py."""
+    pytest.importorskip("skimage", reason="scikit-image has the photograph")
+    assert main(["--demo", "rocket", "-o", str(tmp_path)]) == 0
+    assert len(tomllib.loads((tmp_path / "scene.toml").read_text())["object"]) == 1
+    assert capfd.readouterr().out.count(" dB") == 2
 
 
 def test_a_second_start_goes_on_with_the_layout_that_lies_there(tmp_path):

@@ -70,11 +70,19 @@ def test_a_photograph_becomes_a_scene_that_runs(tmp_path, thing, material, suppo
 
 
 SINKING = "balls", "chelsea"  # docs/explanation/known-limitations.md
+# dB of the worst object and of the whole picture
+AGREEMENT = {
+    "coffee": (26, 29), "chelsea": (35, 35), "rocket": (25, 35), "milk": (31, 38),
+    "tower": (29, 38), "balls": (30, 38),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", example_photographs.SUMMARIES)
-def test_an_example_of_photographs_runs(tmp_path, name):
-    """In coarse cells, for 0.2 s; two captures go further into the floor than they should."""
+def test_an_example_of_photographs_runs(tmp_path, name, capfd):
+    """It looks like its photograph, and runs in coarse cells for 0.2 s.
+
+    Two captures go further into the floor than they should.
+    """
     pytest.importorskip("cv2", reason="no OpenCV: pip install 'vgmpi[images]'")
     if not (example_photographs.FOLDER / name / "photo.jpg").exists():
         pytest.importorskip("skimage", reason="scikit-image has the photograph")
@@ -85,6 +93,11 @@ def test_an_example_of_photographs_runs(tmp_path, name):
         assert count == 1, key
     layout.write_text(text)
     assert vgmpi_main(["photo", str(photo), str(layout), "-o", str(tmp_path)]) == 0
+    agreement = [float(v) for v in re.findall(r"to ([\d.]+) dB", capfd.readouterr().out)]
+    *inside, total = agreement
+    assert len(inside) == len(tomllib.loads((tmp_path / "scene.toml").read_text())["object"])
+    print(name, agreement)
+    assert min(inside) > AGREEMENT[name][0] and total > AGREEMENT[name][1]
     least = run_to_end(tmp_path / "scene.toml")
     if name in SINKING and least <= -0.1:
         pytest.xfail(f"particles outside the surface that contact uses: {least:.3f} cells")

@@ -16,9 +16,9 @@ pytest.importorskip("numba_cuda", reason="the extra `cuda` is not installed")
 pytest.importorskip("greenlet", reason="the simulator's threads take turns by greenlet")
 
 SHORT = {  # name: precision, steps, scenes
-    "flow": ("single", 10, ["fluid", "paste", "foam"]),
-    "grains": ("single", 10, ["sand", "snow", "metal"]),
-    "solids": ("single", 10, ["elastic", "corotated", "plasticine"]),
+    "flow": ("single", 4, ["fluid", "paste", "foam"]),
+    "grains": ("single", 4, ["sand", "snow", "metal"]),
+    "solids": ("single", 4, ["elastic", "corotated", "plasticine"]),
     "contact": ("single", 3, ["contact", "three in contact", "contact of faces"]),
     "walls": ("single", 2, ["walls that vanish", "open walls", "colliders that move"]),
     "pushed": ("single", 2, ["pushed along walls", "pushed by a driven body"]),

@@ -28,7 +28,14 @@ def one(request, tmp_path_factory):
     return scene, found
 
 
-@pytest.mark.parametrize("n", [2, 3, 4, 7])
+@pytest.mark.parametrize(
+    "one, n",
+    [("single", n) for n in (2, 3, 4, 7)]
+    + [("double", 3)]
+    + [pytest.param("double", n, marks=pytest.mark.slow) for n in (2, 4, 7)],
+    indirect=["one"],
+    scope="module",
+)
 def test_ranks(one, n, tmp_path):
     scene, want = one
     assert_same_files(scene, want, tmp_path, n)

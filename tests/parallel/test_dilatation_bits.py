@@ -4,6 +4,7 @@ after a restart between two transfer corrections."""
 import pytest
 
 from tests.support.file_digests import (
+    RANKS_AND_THREADS,
     assert_same_after_stop,
     assert_same_files,
     digests,
@@ -34,9 +35,7 @@ def test_it_is_another_motion(one, tmp_path):
     assert plain.keys() == cells.keys() and plain != cells
 
 
-@pytest.mark.parametrize(
-    "ranks, flags", [(2, []), (3, []), (4, []), (7, []), (1, ["--threads", "2"])]
-)
+@RANKS_AND_THREADS
 def test_any_ranks_and_threads(one, tmp_path, ranks, flags):
     assert_same_files(*one, tmp_path / "out", ranks, *flags)
 

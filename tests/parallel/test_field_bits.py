@@ -3,7 +3,12 @@ ranks and threads, and after a restart."""
 
 import pytest
 
-from tests.support.file_digests import assert_same_after_stop, assert_same_files, run_on_one_rank
+from tests.support.file_digests import (
+    RANKS_AND_THREADS,
+    assert_same_after_stop,
+    assert_same_files,
+    run_on_one_rank,
+)
 from tests.support.small_scenes import SHARED, every_law
 
 pytestmark = pytest.mark.mpi
@@ -27,7 +32,7 @@ def test_the_fields_are_in_the_files(one):
     assert {"stress", "pressure", "strain"} <= names
 
 
-@pytest.mark.parametrize("ranks, flags", [(2, []), (3, []), (1, ["--threads", "2"])])
+@RANKS_AND_THREADS
 def test_any_ranks_and_threads(one, tmp_path, ranks, flags):
     assert_same_files(*one, tmp_path / "out", ranks, *flags)
 

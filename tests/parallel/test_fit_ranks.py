@@ -24,7 +24,9 @@ def alone(tmp_path_factory):
     return fitted_alone(tmp_path_factory.mktemp("ranks"), FEW)
 
 
-@pytest.mark.parametrize("flags", [("--ranks", "2"), ("--jobs=2", "--ranks=2")])
+@pytest.mark.parametrize(
+    "flags", [pytest.param(("--ranks", "2"), marks=pytest.mark.slow), ("--jobs=2", "--ranks=2")]
+)
 def test_the_same_bits(alone, flags):
     out = alone / "".join(flags)
     done = go(alone / "scene.toml", alone / "fit.toml", out, *flags)
@@ -58,7 +60,10 @@ def has_processes(group) -> bool:
     return True
 
 
-@pytest.mark.parametrize("flags", [(), ("--jobs", "2"), ("--ranks", "2")])
+@pytest.mark.parametrize(
+    "flags",
+    [*(pytest.param(f, marks=pytest.mark.slow) for f in ((), ("--jobs", "2"))), ("--ranks", "2")],
+)
 def test_ctrl_c_ends_it_and_it_goes_on(alone, flags):
     out = alone / f"stopped{''.join(flags)}"
     begun = launch.start(command(alone / "scene.toml", alone / "fit.toml", out, *flags))

@@ -7,7 +7,12 @@ import numpy as np
 import pytest
 
 from tests.parallel.test_moving_bits import SCENE
-from tests.support.file_digests import assert_same_files, digests, run_on_one_rank
+from tests.support.file_digests import (
+    RANKS_AND_THREADS,
+    assert_same_files,
+    digests,
+    run_on_one_rank,
+)
 from tests.support.launch import go
 from vgmpi.scene.probes import WALL_NAMES
 
@@ -44,10 +49,10 @@ def test_they_are_felt(one):
         assert np.abs(together - balance).max() < 1e-5 * np.abs(balance).max()
 
 
-@pytest.mark.parametrize("n, flags", [(2, ()), (3, ()), (1, ("--threads", "2"))])
-def test_ranks_and_threads(one, n, flags, tmp_path):
+@RANKS_AND_THREADS
+def test_ranks_and_threads(one, ranks, flags, tmp_path):
     scene, want, _ = one
-    assert_same_files(scene, want, tmp_path, n, *flags)
+    assert_same_files(scene, want, tmp_path, ranks, *flags)
 
 
 def test_stop_and_resume(one, tmp_path):

@@ -38,12 +38,12 @@ def ducks(tmp_path_factory):
 @pytest.mark.parametrize("name", sorted(set(_gallery().SCENES) - ELSEWHERE))
 def test_the_same_bits(name, tmp_path):
     found, cell = [], 2 if name in FINER else 4
-    for n in (1, 2, 3):
+    for n in (1, 3):
         flags = ("--set", f"domain.cell={cell} cm", *SHORT)
         job = go(RUNS / name / "scene.toml", tmp_path / str(n), n, *flags)
         assert job.returncode == 0, job.stderr
         found.append(digests(tmp_path / str(n)))
-    assert found[0] == found[1] == found[2]
+    assert found[0] == found[1]
     rows = read_rows(tmp_path / "1" / "ledger.csv")
     last = max(row["step"] for row in rows)
     assert last > 10 and sum(row["particles"] for row in rows if row["step"] == last) > 1000

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from tests.support.file_digests import (
+    RANKS_AND_THREADS,
     assert_same_after_stop,
     assert_same_files,
     run_on_one_rank,
@@ -43,15 +44,13 @@ velocity = [-0.3, 0, 0]
 """
 
 
-@pytest.fixture(scope="module", params=["single", "double"])
+@pytest.fixture(scope="module", params=["single", pytest.param("double", marks=pytest.mark.slow)])
 def one(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("implicit")
     return run_on_one_rank(folder, SCENE.replace("PRECISION", request.param))
 
 
-@pytest.mark.parametrize(
-    "ranks, flags", [(2, []), (3, []), (4, []), (7, []), (1, ["--threads", "2"])]
-)
+@RANKS_AND_THREADS
 def test_any_ranks_and_threads(one, tmp_path, ranks, flags):
     assert_same_files(*one, tmp_path / "out", ranks, *flags)
 

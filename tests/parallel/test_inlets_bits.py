@@ -101,7 +101,10 @@ def test_something_comes_and_goes(one):
         assert abs(left) < 1e-14 * float(row["mass_in"])
 
 
-@pytest.mark.parametrize("n, threads", [(2, 1), (4, 1), (1, 2), (2, 2)])
+@pytest.mark.parametrize(
+    "n, threads",
+    [*(pytest.param(*way, marks=pytest.mark.slow) for way in ((2, 1), (4, 1), (1, 2))), (2, 2)],
+)
 def test_ranks_and_threads(one, n, threads, tmp_path):
     scene, want, _ = one
     assert_same_files(scene, want, tmp_path, n, "--threads", threads)

@@ -5,6 +5,7 @@ import pytest
 
 from tests.parallel.test_free_body_bits import SCENE as FREE
 from tests.support.file_digests import (
+    RANKS_AND_THREADS,
     assert_same_after_stop,
     assert_same_files,
     run_on_one_rank,
@@ -49,13 +50,11 @@ def one(tmp_path_factory):
     return run_on_one_rank(folder, SCENE)
 
 
-@pytest.mark.parametrize(
-    "ranks, flags", [(2, []), (3, []), (4, []), (7, []), (1, ["--threads", "2"])]
-)
+@RANKS_AND_THREADS
 def test_any_ranks_and_threads(one, tmp_path, ranks, flags):
     assert_same_files(*one, tmp_path / "out", ranks, *flags)
 
 
-@pytest.mark.parametrize("steps", [17, 40])
+@pytest.mark.parametrize("steps", [17, pytest.param(40, marks=pytest.mark.slow)])
 def test_a_restart(one, tmp_path, steps):
     assert_same_after_stop(*one, tmp_path / "out", steps)

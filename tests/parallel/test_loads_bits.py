@@ -5,7 +5,12 @@ import csv
 
 import pytest
 
-from tests.support.file_digests import assert_same_files, digests, run_on_one_rank
+from tests.support.file_digests import (
+    RANKS_AND_THREADS,
+    assert_same_files,
+    digests,
+    run_on_one_rank,
+)
 from tests.support.launch import go
 from tests.support.small_scenes import MIXED
 from vgmpi.io import csv_log, file_layout
@@ -97,10 +102,10 @@ def test_there_is_something_to_measure(one):
     assert len(rows(out, "cube")) == 1 + int(rows(out, "cube")[-1]["step"])
 
 
-@pytest.mark.parametrize("n", [2, 3])
-def test_ranks(one, n, tmp_path):
+@RANKS_AND_THREADS
+def test_ranks_and_threads(one, ranks, flags, tmp_path):
     scene, want, _ = one
-    assert_same_files(scene, want, tmp_path, n)
+    assert_same_files(scene, want, tmp_path, ranks, *flags)
 
 
 def test_stop_and_resume(one, tmp_path):

@@ -5,7 +5,13 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.support.file_digests import assert_same_files, digests, frame_digests, run_on_one_rank
+from tests.support.file_digests import (
+    RANKS_AND_THREADS,
+    assert_same_files,
+    digests,
+    frame_digests,
+    run_on_one_rank,
+)
 from tests.support.launch import go
 from tests.support.small_scenes import MIXED
 
@@ -54,10 +60,10 @@ def test_they_move(one):
     assert np.arccos((np.trace(last[-2, :3, :3]) - 1) / 2) == pytest.approx(np.radians(25))
 
 
-@pytest.mark.parametrize("n, flags", [(2, ()), (3, ()), (1, ("--threads", "2"))])
-def test_ranks_and_threads(one, n, flags, tmp_path):
+@RANKS_AND_THREADS
+def test_ranks_and_threads(one, ranks, flags, tmp_path):
     scene, want, _ = one
-    assert_same_files(scene, want, tmp_path, n, *flags)
+    assert_same_files(scene, want, tmp_path, ranks, *flags)
 
 
 def test_stop_and_resume(one, tmp_path):

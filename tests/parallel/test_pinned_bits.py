@@ -5,6 +5,7 @@ regions of other materials."""
 import pytest
 
 from tests.support.file_digests import (
+    RANKS_AND_THREADS,
     assert_same_after_stop,
     assert_same_files,
     run_on_one_rank,
@@ -95,16 +96,7 @@ def one(request, tmp_path_factory):
     return run_on_one_rank(folder, SCENES[request.param])
 
 
-@pytest.mark.parametrize(
-    "ranks, flags",
-    [
-        (2, []),
-        (3, []),
-        (1, ["--threads", "2"]),
-        pytest.param(4, [], marks=pytest.mark.slow),
-        pytest.param(7, [], marks=pytest.mark.slow),
-    ],
-)
+@RANKS_AND_THREADS
 def test_any_ranks_and_threads(one, tmp_path, ranks, flags):
     assert_same_files(*one, tmp_path / "out", ranks, *flags)
 

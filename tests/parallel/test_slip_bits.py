@@ -4,6 +4,7 @@ number of ranks and threads and after a restart."""
 import pytest
 
 from tests.support.file_digests import (
+    RANKS_AND_THREADS,
     assert_same_after_stop,
     assert_same_files,
     run_on_one_rank,
@@ -68,9 +69,7 @@ def one(request, tmp_path_factory):
     return run_on_one_rank(folder, SCENES[request.param])
 
 
-@pytest.mark.parametrize(
-    "ranks, flags", [(2, []), (3, []), (4, []), (7, []), (1, ["--threads", "2"])]
-)
+@RANKS_AND_THREADS
 def test_any_ranks_and_threads(one, tmp_path, ranks, flags):
     assert_same_files(*one, tmp_path / "out", ranks, *flags)
 

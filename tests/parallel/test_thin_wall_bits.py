@@ -4,6 +4,7 @@ in every file for any number of ranks and threads and after a restart."""
 import pytest
 
 from tests.support.file_digests import (
+    RANKS_AND_THREADS,
     assert_same_after_stop,
     assert_same_files,
     run_on_one_rank,
@@ -68,16 +69,7 @@ def one(tmp_path_factory):
     return run_on_one_rank(folder, SCENE)
 
 
-@pytest.mark.parametrize(
-    "ranks, flags",
-    [
-        (2, []),
-        (3, []),
-        pytest.param(4, [], marks=pytest.mark.slow),
-        pytest.param(7, [], marks=pytest.mark.slow),
-        (1, ["--threads", "2"]),
-    ],
-)
+@RANKS_AND_THREADS
 def test_any_ranks_and_threads(one, tmp_path, ranks, flags):
     assert_same_files(*one, tmp_path / "out", ranks, *flags)
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.support.file_digests import assert_same_files, run_on_one_rank
+from tests.support.file_digests import RANKS_AND_THREADS, assert_same_files, run_on_one_rank
 
 pytestmark = pytest.mark.mpi
 
@@ -39,6 +39,6 @@ def one(tmp_path_factory):
     return run_on_one_rank(tmp_path_factory.mktemp("walls"), SCENE)
 
 
-@pytest.mark.parametrize("ranks, flags", [(2, []), (3, []), (1, ["--threads", "2"])])
+@RANKS_AND_THREADS
 def test_any_ranks_and_threads(one, tmp_path, ranks, flags):
     assert_same_files(*one, tmp_path / "out", ranks, *flags)

@@ -3,9 +3,23 @@
 import hashlib
 
 import h5py
+import pytest
 
 from tests.support.launch import go
 from tests.support.small_scenes import write
+
+# Ways to run a scene beside one rank with one thread: one that has several of both, and the others
+# where time does not count. A restart (assert_same_after_stop) goes from two ranks to three.
+RANKS_AND_THREADS = pytest.mark.parametrize(
+    "ranks, flags",
+    [
+        (3, ("--threads", "2")),
+        *(
+            pytest.param(ranks, flags, marks=pytest.mark.slow)
+            for ranks, flags in ((1, ("--threads", "2")), (2, ()), (3, ()), (4, ()), (7, ()))
+        ),
+    ],
+)
 
 
 def files(folder) -> dict[str, bytes]:
