@@ -14,8 +14,7 @@ PAGE, PICTURES = ROOT / "docs" / "benchmarks" / "validation.md", ROOT / "docs" /
 COMMAND = "python -m tests.benchmarks.validation"
 PARTS = ("summary", "topics")
 LARGEST = 60_000  # bytes of a picture
-FIGURES = 4  # shown for each topic; other plots are linked
-GROUPED = 3  # rows of one test and quantity from which on a table shows them as one
+FIGURES = 4  # shown for each topic
 COLUMNS = ("case", "result", "reference", "error", "tolerance", "outcome", "source, remarks")
 
 
@@ -130,66 +129,41 @@ def cells(row: Row) -> list[str]:
     ]
 
 
-def group_name(cases: list[str]) -> str:
-    """Return what the names of some cases have in common, with "..." for the rest."""
-    words = [case.split(" ") for case in cases]
-    short = min(map(len, words))
-    first = next((k for k in range(short) if len({w[k] for w in words}) > 1), short)
-    last = next(
-        (k for k in range(short - first) if len({w[-1 - k] for w in words}) > 1), short - first
-    )
-    end = words[0][len(words[0]) - last :]
-    return " ".join([*words[0][:first], "...", *end])
+def tolerance_used(row: Row) -> float:
+    """Return the fraction of its tolerance that a passing row takes; 1 is the limit."""
+    if row.kind in ("relative", "absolute"):
+        return row.error / row.tolerance if row.tolerance else 0.0
+    room = row.tolerance - row.reference
+    if room:
+        return (row.value - row.reference) / room
+    return row.value / row.tolerance if row.kind == "below" else row.tolerance / row.value
 
 
-def group_cells(rows: list[Row]) -> list[str]:
-    """Return the cells of several rows of one test as one line with ranges."""
-    one = rows[0]
-    result = _with_unit(span([row.value for row in rows], 3), one.unit)
-    errors = [row.error for row in rows]
-    error = {"relative": percent(errors), "absolute": span(errors, 2)}
-    bound = one.kind in ("below", "above")
-    references = _with_unit(span([row.reference for row in rows], 4), "" if bound else one.unit)
-    sources = {row.source for row in rows}
-    remarks = [one.source] * (len(sources) == 1) + [one.note] * (len({r.note for r in rows}) == 1)
-    return [
-        f"{_escaped(group_name([row.case for row in rows]))} ({len(rows)} cases)",
-        _escaped(result),
-        _escaped(references),
-        error.get(one.kind, ""),
-        _tolerance(one),
-        _outcome(one.outcome),
-        _escaped("; ".join(text for text in remarks if text)),
-    ]
+def passing_cells(rows: list[Row]) -> list[str]:
+    """Return the passing rows of a test file as one line: the one closest to its tolerance."""
+    name, *rest = cells(max(rows, key=tolerance_used))
+    return [f"{name} (closest of {len(rows)})" if len(rows) > 1 else name, *rest]
 
 
 def lines(rows: list[Row]) -> list[list[str]]:
-    """Return the lines of a table: passing rows of one test and quantity become one line."""
+    """Return the lines of a table: one for the passing rows of a test file, each other row."""
     groups = defaultdict(list)
     for row in rows:
-        quantity = row.case.rpartition(": ")[2] if ": " in row.case else ""
-        alike = (row.test.split("[")[0], quantity, row.unit, row.kind, row.tolerance)
-        groups[alike if row.outcome == PASS else row.case].append(row)
-    shown = []
-    for members in groups.values():
-        large = len(members) >= GROUPED
-        shown += [group_cells(members)] if large else [cells(row) for row in members]
-    return shown
+        groups[row.test.split("::")[0] if row.outcome == PASS else row.case].append(row)
+    return [
+        passing_cells(members) if members[0].outcome == PASS else cells(members[0])
+        for members in groups.values()
+    ]
 
 
 def figures(rows: list[Row]) -> list[str]:
-    """Return the figures of a topic: the first plot of each test, links to the others."""
+    """Return the figures of a topic: the first plot of each test."""
     first = {}
     for row in rows:
         if row.plot:
             first.setdefault(row.test.split("[")[0], row)
     shown = list(first.values())[:FIGURES]
-    links = [f"![{row.case}](../pictures/{row.plot})" for row in shown]
-    rest = [row for row in rows if row.plot and row not in shown]
-    if rest:
-        named = (f"[{row.case}](../pictures/{row.plot})" for row in rest)
-        links += ["", f"More plots: {'; '.join(named)}."]
-    return [_escaped(link) for link in links]
+    return [_escaped(f"![{row.case}](../pictures/{row.plot})") for row in shown]
 
 
 def topics(rows: list[Row]) -> str:

@@ -79,13 +79,23 @@ def test_table(rows):
     assert "![slip](../pictures/slip.png)" in text
 
 
-def test_passing_rows_of_one_test_become_one_line(rows):
-    alike = [replace(rows[0], case=f"slip at {k} cells", value=1 + k / 1e3) for k in (1, 2, 4)]
+def test_passing_rows_of_a_file_become_the_line_closest_to_its_tolerance(rows):
+    alike = [replace(rows[0], case=f"slip at {k} cells", error=k / 1e3) for k in (1, 4, 2)]
     shown = pages.lines([*alike, rows[2]])
-    assert [cells[0] for cells in shown] == ["slip at ... cells (3 cases)", "slip, coarse"]
-    assert shown[0][1] == "1 m/s"
+    assert [cells[0] for cells in shown] == ["slip at 4 cells (closest of 3)", "slip, coarse"]
     failing = [replace(row, outcome=table.FAIL) for row in alike]
     assert len(pages.lines(failing)) == 3 and pages.lines(failing)[0][5] == "**fail**"
+
+
+def test_how_much_of_its_tolerance_a_row_takes(rows):
+    def used(kind, value, reference, tolerance):
+        row = replace(rows[0], kind=kind, value=value, reference=reference, tolerance=tolerance)
+        return pages.tolerance_used(row)
+
+    assert pages.tolerance_used(rows[0]) == pytest.approx(0.5)
+    assert used("below", 3.0, 1.0, 5.0) == pytest.approx(0.5)
+    assert used("above", 0.95, 1.0, 0.9) == pytest.approx(0.5)
+    assert used("below", 0.5, 1.0, 1.0) == pytest.approx(0.5)
 
 
 def test_bounds(rows):
