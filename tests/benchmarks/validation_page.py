@@ -15,7 +15,7 @@ COMMAND = "python -m tests.benchmarks.validation"
 PARTS = ("summary", "topics")
 LARGEST = 60_000  # bytes of a picture
 FIGURES = 4  # shown for each topic
-COLUMNS = ("case", "result", "reference", "error", "tolerance", "outcome", "source, remarks")
+COLUMNS = ("case", "result", "reference", "error (tolerance)", "outcome", "source")
 
 
 def number(value: float) -> str:
@@ -117,15 +117,14 @@ def _outcome(name: str) -> str:
 def cells(row: Row) -> list[str]:
     """Return the cells of a row, in the order of COLUMNS."""
     bound = row.kind in ("below", "above")
-    error = {"relative": f"{100 * row.error:.2g} %", "absolute": number(row.error)}
+    error = {"relative": f"{100 * row.error:.2g} % ", "absolute": f"{number(row.error)} "}
     return [
         _escaped(row.case),
         _escaped(_with_unit(number(row.value), row.unit)),
         _escaped(_with_unit(number(row.reference), "" if bound else row.unit)),
-        error.get(row.kind, ""),
-        _tolerance(row),
+        f"{error.get(row.kind, '')}({_tolerance(row)})",
         _outcome(row.outcome),
-        _escaped("; ".join(text for text in (row.source, row.note) if text)),
+        _escaped(row.source),
     ]
 
 
