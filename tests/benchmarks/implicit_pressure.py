@@ -1,7 +1,7 @@
 """python -m tests.benchmarks.implicit_pressure: what an implicit pressure gives water in the plane.
 
 Runs water cases of the board and of the validation with `plane_liquid`, explicit and implicit at
-several steps, and prints the table of docs/explanation/implicit-pressure.md: some minutes.
+several steps, and prints the table docs/benchmarks/data/implicit_pressure.csv: some minutes.
 """
 
 import argparse
