@@ -145,9 +145,12 @@ def passing_cells(rows: list[Row]) -> list[str]:
 
 
 def lines(rows: list[Row]) -> list[list[str]]:
-    """Return the lines of a table: one for the passing rows of a test file, each other row."""
+    """Return the lines of a table: one for the passing rows of a test file, each other row.
+
+    Negative controls are left out: they miss their tolerance on purpose.
+    """
     groups = defaultdict(list)
-    for row in rows:
+    for row in (row for row in rows if row.outcome != CONTROL):
         groups[row.test.split("::")[0] if row.outcome == PASS else row.case].append(row)
     return [
         passing_cells(members) if members[0].outcome == PASS else cells(members[0])
