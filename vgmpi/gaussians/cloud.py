@@ -170,7 +170,7 @@ def quaternion(rotation: np.ndarray) -> np.ndarray:
 def principal_axes(cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return unit quaternions (n, 4) and standard deviations (n, 3) of covariances (n, 6).
 
-    Covariances are in [length^2]. This is the inverse of Cloud.cov; eigenvalues that
+    Covariances are in [length^2]. This is the inverse of GaussianCloud.cov; eigenvalues that
     rounding left below zero become zero.
     """
     values, vectors = np.linalg.eigh(unpack_symmetric(np.asarray(cov, dtype=np.float64)))

@@ -4,7 +4,7 @@
 
 with quadratic B-splines w of cells of size dx and volumes V_p. One transfer S conserves
 sum_p V_p c_p. It mixes over a cell in any time step: applied every step it would be a diffusion of
-0.25 dx2 / dt. `relaxed` follows dc/dt = (S c - c) / T instead, whose diffusion is 0.25 dx2 / T.
+0.25 dx2 / dt. `relax` follows dc/dt = (S c - c) / T instead, whose diffusion is 0.25 dx2 / T.
 
 Sums run over the particles in their order. Sorted by id, as in a run's frames, they do not depend
 on the distribution of the run over ranks.
@@ -17,8 +17,8 @@ import numpy as np
 from vgmpi.runtime.compile_cache import njit_cached
 
 EDGE = 4  # [nodes] edge of a block of nodes
-MAX_RELAXATION = 100.0  # [T] longest time in one call of `relaxed`, whose work grows with it
-_CUT = 1e-7  # [-] total weight of the terms of `relaxed` that may be dropped
+MAX_RELAXATION = 100.0  # [T] longest time in one call of `relax`, whose work grows with it
+_CUT = 1e-7  # [-] total weight of the terms of `relax` that may be dropped
 
 
 class Transfer:
@@ -51,10 +51,11 @@ class Transfer:
         return first + self._apply(c)
 
     def relax(self, c: np.ndarray, age: float) -> np.ndarray:
-        """Return the colors (n, m) after a time of `age` T, at most MOST_AGE: exp(age (S - 1)) c.
+        """Return the colors (n, m) after a time of `age` T: exp(age (S - 1)) c.
 
-        The result is a mean of S^k c with the weights of Poisson's distribution: every weight is
-        positive, so that no color leaves the range of the others, and each term conserves sum V c.
+        The age is at most MAX_RELAXATION. The result is a mean of S^k c with the weights of
+        Poisson's distribution: every weight is positive, so that no color leaves the range of the
+        others, and each term conserves sum V c.
 
         Raises:
             ValueError: If age is out of range.

@@ -1,7 +1,7 @@
 """Manifest of a checkpoint: its checksums, and their comparison with the file.
 
 A flushed but unfinished HDF5 file opens and looks complete, so completeness is recorded explicitly:
-the manifest is written last and holds a CRC32 per dataset and chunk of layout.CRC_ROWS rows.
+the manifest is written last and holds a CRC32 per dataset and chunk of file_layout.CRC_ROWS rows.
 """
 
 import json

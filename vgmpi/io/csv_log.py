@@ -197,7 +197,7 @@ def verify_logs(
         tables: Columns of each table, by its path.
         ranks: Communicator.
         step: Step of the checkpoint.
-        sums: Checksum Rows.sum at that step of each table that existed, by the name of its file.
+        sums: Checksum CsvLog.sum at that step of each table that existed, by the name of its file.
 
     Raises:
         RunError: A table is damaged, on all ranks.

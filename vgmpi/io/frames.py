@@ -99,14 +99,14 @@ class Frames:
             time: Simulated time [s].
             step: Number of the step.
             ids: Particle ids of this rank, shape (n_local,).
-            fields: Rows in the order of `ids`: "positions", and others of layout.FRAME.
+            fields: Rows in the order of `ids`: "positions", and others of file_layout.FRAME.
             poses: Poses of moving objects without mass, shape (m, 4, 4), equal on all ranks.
         """
         path = self.folder / file_layout.FRAMES / file_layout.FRAME_NAME.format(index)
         names = [d.name for d in file_layout.FRAME if d.name in fields]
         if "positions" not in fields or set(fields) - set(names):
             raise ValueError(
-                f"a frame has positions and fields of layout.FRAME, not {sorted(fields)}"
+                f"a frame has positions and fields of file_layout.FRAME, not {sorted(fields)}"
             )
         redistribute = _Redistribution(ids, self.total_ids, self.ranks)
         with hdf5_writer.create(path, self.ranks, self.compresses) as f:

@@ -25,12 +25,12 @@ def write(
     Args:
         path: File to write.
         ranks: Communicator.
-        rows: Datasets of layout.GAUSSIAN; all but those in layout.OPTIONAL are required.
+        rows: Datasets of file_layout.GAUSSIAN; all but those in file_layout.OPTIONAL are required.
         objects: List of the objects, JSON-able.
-        scenery: Datasets of layout.SCENERY likewise, or None.
+        scenery: Datasets of file_layout.SCENERY likewise, or None.
         scene: Resolved scene, JSON-able.
         digest: Text that identifies the preparation.
-        passive: Datasets of layout.PASSIVE likewise, or None.
+        passive: Datasets of file_layout.PASSIVE likewise, or None.
 
     Raises:
         StoreError: Writing failed, on all ranks.
@@ -74,7 +74,7 @@ def _checked(rows, datasets, prefix):
 
 
 def read_slice(path: str | Path, start: int, stop: int) -> dict[str, np.ndarray]:
-    """Return the datasets of layout.GAUSSIAN for some particles. Raises read.RunError.
+    """Return the datasets of file_layout.GAUSSIAN for some particles. Raises RunError.
 
     Args:
         path: File to read.

@@ -174,7 +174,7 @@ class RunReader:
         return data["VTKHDF/Points"]
 
     def frame(self, i: int) -> dict[str, np.ndarray]:
-        """Return the arrays of frame i by the names of layout.FRAME.
+        """Return the arrays of frame i by the names of file_layout.FRAME.
 
         The arrays id and x are always present, the others as in the file. `poses` (m, 4, 4) is
         present if objects without mass move.
@@ -247,8 +247,8 @@ def read_gaussians(path: str | Path) -> SimpleNamespace:
 
     The attributes are x0, vol0, object, v0 (None if nothing moves), theta0 (None if nothing is
     compressed), surface0 (None if no solid touches anything), cov0, opacity, sh, shade (None if no
-    light is painted on it), scenery (arrays of layout.SCENERY or None), passive (arrays of
-    layout.PASSIVE or None), objects, scene and digest.
+    light is painted on it), scenery (arrays of file_layout.SCENERY or None), passive (arrays of
+    file_layout.PASSIVE or None), objects, scene and digest.
     """
     with opened(Path(path)) as f:
         data = {name: f[name][()] for name in ("objects", "scene")}
@@ -268,7 +268,7 @@ def read_gaussians(path: str | Path) -> SimpleNamespace:
 
 
 def _arrays(f, prefix, datasets, data):
-    """Return the datasets by their names, None for an absent one of layout.OPTIONAL.
+    """Return the datasets by their names, None for an absent one of file_layout.OPTIONAL.
 
     Those that are present are also added to `data`, by their names in the file.
     """

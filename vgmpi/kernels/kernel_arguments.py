@@ -10,7 +10,7 @@ import numpy as np
 
 
 class Particles(NamedTuple):
-    """Particle arrays of a group on this rank, see domain.state.Group."""
+    """Particle arrays of a group on this rank, see particle_group.ParticleGroup."""
 
     xi: np.ndarray  # (3, cap) fixed-point positions
     f: np.ndarray  # (channels, cap) floating-point channels

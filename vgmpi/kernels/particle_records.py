@@ -4,9 +4,9 @@ Formulas are evaluated for 16 particles at a time; transposed, each particle's n
 and meet its nine rows of nodes (kernels/transfer/p2g.py, kernels/transfer/g2p.py). A batch of
 records stays in the first level cache.
 
-The common channels stand at fixed positions of a group's array, as planning.channels.HEAD defines:
-velocity [m/s], its gradient C [1/s], rest volume [m3]; behind them stand the law's state and the
-optional channels of the plan.
+The common channels stand at fixed positions of a group's array, as COMMON_CHANNELS of
+planning/particle_channels.py defines: velocity [m/s], its gradient C [1/s], rest volume [m3].
+Behind them stand the law's state and the optional channels of the plan.
 """
 
 from typing import NamedTuple
@@ -46,7 +46,7 @@ SCRATCH_SIZE = (
 class Scratch(NamedTuple):
     """Scratch memory of one thread during the transfer of a segment."""
 
-    real: np.ndarray  # (ROOM + more * MORE,) see `split_scratch` and `patch_of`
+    real: np.ndarray  # (SCRATCH_SIZE + more * PADDED_PATCH,) see `split_scratch` and `patch_of`
     whole: np.ndarray  # (BATCH + 16 + 6,) int32: base rows of a batch, then a node range
     peak: np.ndarray  # (16,) [m4/s4] maximum squared stress over density so far, by lane
 

@@ -49,7 +49,8 @@ def accumulator_biases(full: np.ndarray, real) -> np.ndarray:
 
     Args:
         full: Scales of the sums, powers of two, shape (phases, 4): sums may reach 16 times as much,
-            and keep DIGITS binary digits below it (and SECOND more in double precision).
+            and keep ACCUMULATOR_BITS binary digits below it (and SECOND_WORD_SHIFT more in double
+            precision).
         real: Dtype of the terms.
     """
     quantum = full * 2.0**-ACCUMULATOR_BITS
@@ -208,7 +209,7 @@ class FieldPointers(NamedTuple):
 
 @device_function
 def blocks_at(tables):
-    """Return the pointers of a table of node blocks (tables.NodeBlocks)."""
+    """Return the pointers of a table of node blocks (kernel_arguments.NodeBlocks)."""
     return NodeBlockPointers(
         pointer(tables.phase), pointer(tables.copy_offsets), pointer(tables.copies)
     )
@@ -285,7 +286,7 @@ def pack(numbers, tails, blocks, masks, bits):
 
     Args:
         numbers: Leading bits (out), shape (3 n,) uint64, of n times four sums, node after node and
-            word after word (wide.pack_node).
+            word after word (reproducible_add.pack_node).
         tails: Trailing bits (out), shape (n,) uint16.
         blocks: Node blocks, shape (m,).
         masks: Selected nodes, shape (m,) uint64: bit k selects node k of the 64.

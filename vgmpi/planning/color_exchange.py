@@ -55,7 +55,7 @@ def color_exchange(scene: Scene, phases, shades: np.ndarray | None) -> ColorExch
 
     Args:
         scene: The scene.
-        phases: `groups.PhasePlan` of each phase.
+        phases: `PhasePlan` of each phase.
         shades: Minimum and maximum of each color coefficient by object, shape (objects, 2, K, 3),
             NaN for objects without particles; None if unknown.
     """

@@ -35,7 +35,7 @@ ALPHA_MIN_FAINT = 1e-4
 class Appearance:
     """Quantities of a run's appearance that do not change from frame to frame.
 
-    run: vgmpi.io.run_reader.RunFiles, or anything with the same `objects` and `gaussians`.
+    run: vgmpi.io.run_reader.RunReader, or anything with the same `objects` and `gaussians`.
     chosen: the table [look] of render.toml. Raises SettingsError.
     """
 

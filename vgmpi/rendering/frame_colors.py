@@ -33,7 +33,7 @@ VERSION = 1  # raised if the same settings give other colors
 
 
 class FrameColors:
-    """Colors of the frames of one run, vgmpi.io.run_reader.RunFiles. Raises SettingsError."""
+    """Colors of the frames of one run, vgmpi.io.run_reader.RunReader. Raises SettingsError."""
 
     def __init__(self, run: Any, chosen: LookSettings):
         self.run = run

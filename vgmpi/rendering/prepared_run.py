@@ -44,7 +44,7 @@ class PreparedRun(RunReader):
         return np.asarray(self.gaussians.x0)
 
     def frame(self, i: int) -> dict[str, np.ndarray]:
-        """Return the arrays of the state at rest by the names of layout.FRAME."""
+        """Return the arrays of the state at rest by the names of file_layout.FRAME."""
         gaussians, count = self.gaussians, len(self.gaussians.x0)
         v = np.zeros((count, 3)) if gaussians.v0 is None else np.asarray(gaussians.v0)
         arrays = {

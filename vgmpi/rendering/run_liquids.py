@@ -70,7 +70,7 @@ class Liquids:
 
         Args:
             frame: Arrays of the frame.
-            parts: Gaussians of the frame, of Look.parts.
+            parts: Gaussians of the frame, of Appearance.parts.
             camera: Camera.
             background: Background image.
             floor_below: Floor, or None.

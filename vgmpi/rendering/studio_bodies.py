@@ -252,7 +252,7 @@ class Bodies:
         """Return opaque parts with their normals, kinds, and the shading in their colors.
 
         Args:
-            parts: Gaussians of the frame, of Look.parts.
+            parts: Gaussians of the frame, of Appearance.parts.
             particle_part: Index of the part with the particles.
             frame: Arrays of the frame.
             solid: Rows of the particles that are neither fluid nor sand nor snow.

@@ -51,7 +51,7 @@ class ParticleSummary:
     rigid: RigidBodiesSummary = RigidBodiesSummary()
     pinned: tuple[PinnedRegion, ...] = ()  # pinned parts of bodies
     holding_walls: tuple[str, ...] = ()  # see plan.Plan
-    # on rank 0: datasets to be written to gaussians.h5 by rest.write, None if the file holds them
+    # on rank 0: datasets to be written to gaussians.h5, None if the file holds them
     rows: dict | None = None
     scenery: dict | None = None
     passive: dict | None = None

@@ -1,4 +1,4 @@
-"""This solver as a contestant that tells what its ranks do: for `overhead` and `scaling`."""
+"""This solver as a contestant that tells what its ranks do, for the studies of tests/benchmarks."""
 
 import time
 import tracemalloc

@@ -19,7 +19,7 @@ class RunOutcome:
     """Results of a finished run in `folder`.
 
     They are the frame times (frames,) [s], the places of the bodies, their kinetic energy and the
-    probes. probes: files of the probes with their columns (solver.probes.files).
+    probes. probes: files of the probes with their columns (probe_sampling.files).
     """
 
     def __init__(self, folder: Path, probes: dict[Path, list[file_layout.Dataset]] | None = None):

@@ -256,7 +256,7 @@ def _add_rigid_pairs(
 ):
     """Apply the contact of something rigid with the phases of a node, or store pairs.
 
-    surface: (4,) its normal and distance [m]; friction: (phases,); a: GOES for a collider, or RESTS
+    surface: (4,) its normal and distance [m]; friction: (phases,); a: COLLIDER_ROW, or WALL_ROW
     for a wall, which meets only phases whose surfaces it pushes.
     """
     for q in range(site.active):

@@ -174,7 +174,7 @@ def distance(n, sign, side, mass, is_resolved, dx):
 class ContactPair(NamedTuple):
     """Contact pair of two phases at a node; the first may be a rigid body."""
 
-    a: int  # phase at the node, or RESTS (wall) or GOES (collider)
+    a: int  # phase at the node, or WALL_ROW or COLLIDER_ROW
     b: int  # phase at the node
     one: float  # [cells] distance of the node outside a
     other: float  # [cells] distance of the node outside b

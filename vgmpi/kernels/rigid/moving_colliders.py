@@ -188,7 +188,7 @@ def _changes(collider) -> bool:
 def limit_rate_by_motion(
     travels: Callable[[float, float], float], time: float, rate: float
 ) -> float:
-    """Return 1 / dt [1/s], at least `rate`, of a step in which the travel does not exceed FAR.
+    """Return 1 / dt [1/s] of a step with a travel of at most MAX_COLLIDER_TRAVEL_CELLS.
 
     Args:
         travels: Function of two times [s] that returns the travel between them [cells].

@@ -85,7 +85,7 @@ def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
 
     The gathered mass gives the local fill fraction. Where it exceeds 1 / J the volumetric strain
     rate is reduced, so that pressure rises; in the interior, where it is smaller, the rate is
-    increased. The relative error decays at the rate RETURN.
+    increased. The relative error decays at the rate CORRECTION_RATE.
     """
     L = velocity_gradient(kind.inner, split, f, p, cap, extra, n, L, fill, slope, numbers)
     zero = 0.0 * fill

@@ -1,9 +1,9 @@
 """Rendering on a graphics card by gsplat, selected by backend="gsplat"; needs CUDA.
 
-The pictures equal those of splat.render except for what is fixed in gsplat: it cuts a Gaussian at
-alpha 1/255 and, by version, at about three standard deviations, keeps at least 0 instead of 0.005
-of an antialiased opacity, and works in single precision. Median depths are not supported, nor
-Gaussians of several lowpasses in one picture.
+The pictures equal those of rasterize.render except for what is fixed in gsplat: it cuts a Gaussian
+at alpha 1/255 and, by version, at about three standard deviations, keeps at least 0 instead of
+0.005 of an antialiased opacity, and works in single precision. Median depths are not supported,
+nor Gaussians of several lowpasses in one picture.
 """
 
 import functools
@@ -33,16 +33,16 @@ def render(
     alpha_min: float,
     depth: str | None,
 ) -> tuple[np.ndarray, ...]:
-    """Render Gaussians on a CUDA device with the options of splat.render.
+    """Render Gaussians on a CUDA device with the options of rasterize.render.
 
     Args:
-        splats, camera, lowpass, antialias: See splat.render.
+        splats, camera, lowpass, antialias: See rasterize.render.
         background: Picture behind the Gaussians, shape (height, width, 3).
         alpha_min: Cutoff of alpha; at least 1/255.
         depth: None or "expected".
 
     Returns:
-        Picture, transmittance and, if requested, expected depth, as in splat.render.
+        Picture, transmittance and, if requested, expected depth, as in rasterize.render.
 
     Raises:
         BackendError: If the backend is missing or an option is not supported.

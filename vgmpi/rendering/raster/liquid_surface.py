@@ -198,7 +198,7 @@ def render(
         ground: Depth of that background, shape (height, width) [m]; infinite for a far one.
         sky: Environment that the liquid reflects.
         medium: Optical properties of the liquid.
-        lowpass, antialias, alpha_min: Options of splat.render.
+        lowpass, antialias, alpha_min: Options of rasterize.render.
         with_depth: Whether to return depths.
 
     Returns:

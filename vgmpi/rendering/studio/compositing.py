@@ -142,7 +142,7 @@ def compose(
         stage: The scene; its view is `times` as fine as the picture.
         left: Transmittance to the background, as fine as the view.
         drop_depth, drop_normal: Depths and normals of drops, as fine as the view.
-        hits, normals: First surfaces (liquid.find_surface), as fine as the picture.
+        hits, normals: First surfaces (liquid_radiance.find_surface), as fine as the picture.
         pixel: Width of a pixel at a distance of 1 m [m].
         flags: See `_display_over`.
         image: (out) Display values, shape (height, width, 3).

@@ -97,7 +97,7 @@ def wall_share(position: np.ndarray, low: float, high: float, sigma: float) -> n
         sigma: Standard deviation [m].
 
     Returns:
-        Fractions, shape (n,), at least LEAST_SHARE.
+        Fractions, shape (n,), at least MIN_FRACTION.
     """
     from scipy.special import ndtr
 

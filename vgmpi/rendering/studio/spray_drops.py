@@ -156,7 +156,7 @@ def shade_drop(stage, p, d, n, background, work, out):
         rig, d[0] + 2.0 * cosine * n[0], d[1] + 2.0 * cosine * n[1], d[2] + 2.0 * cosine * n[2],
         0.15, mirrored,
     )  # fmt: skip
-    # a turbid liquid scatters light of its own, as in liquid.shade_ray
+    # a turbid liquid scatters light of its own, as in shade_ray of liquid_radiance.py
     look_up_tint(medium.tint, p, own)
     share = (0.02 + 0.98 * (1.0 - cosine) ** 5) * (1.0 - own[8])
     glow = 1.0 - (1.0 - own[8]) * np.exp(-own[7] * THICK * medium.field.cell)

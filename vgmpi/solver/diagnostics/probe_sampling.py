@@ -32,8 +32,8 @@ def files(scene: Scene, folder: Path) -> dict[Path, list[file_layout.Dataset]]:
 class Probes:
     """All probes of a run and their rows, on rank 0. Collective.
 
-    `rows` holds, by the name of the probe, dicts of layout.PROBE_COLUMNS: all of them without an
-    output folder, else the last one, as the others are in the files.
+    `rows` holds, by the name of the probe, dicts of file_layout.PROBE_COLUMNS: all of them without
+    an output folder, else the last one, as the others are in the files.
     """
 
     def __init__(

@@ -71,7 +71,7 @@ def _count(value, upper=1 << 62):
 def validate_flow_accounting(
     simulation: Simulation, saved: checkpoint.Checkpoint
 ) -> list[list[int]]:
-    """Return the in and out totals of the groups (tally.Tally.totals).
+    """Return the in and out totals of the groups (flow_accounting.Tally.totals).
 
     Raises:
         Mismatch: If they do not fit the particles of the checkpoint.
@@ -89,7 +89,7 @@ def validate_flow_accounting(
 
 
 def validate_reactions(saved: checkpoint.Checkpoint) -> dict:
-    """Return the saved reactions (given.Reactions.saved); empty if the run did not record any.
+    """Return the saved reactions (Reactions.saved); empty if the run did not record any.
 
     Raises:
         Mismatch: If they are impossible.

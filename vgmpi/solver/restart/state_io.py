@@ -169,7 +169,7 @@ def restore(simulation: Simulation, saved) -> None:
 
     Args:
         simulation: A simulation without particles (in/out).
-        saved: An open output.checkpoint_interval.Checkpoint.
+        saved: An open io.checkpoint.Checkpoint.
 
     Raises:
         Mismatch: On all ranks, if the checkpoint does not belong to the scene.

@@ -48,7 +48,7 @@ def g2p(
         segments, particles: Tables of the group; particles (in/out).
         velocity, auxiliary: Nodal velocities, and kind of the auxiliary gather.
         numbers, motion: Constants of the group and of the step.
-        maxima (in/out): Shape (6,), see particle.record_maxima.
+        maxima (in/out): Shape (6,), see particle_intrinsics.record_maxima.
         worst (in/out): Lowest failed id times 8 plus reason, shape (1,).
         ghosts: Ghost nodes for reactions, or None.
     """

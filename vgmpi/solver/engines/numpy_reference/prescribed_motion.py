@@ -20,7 +20,7 @@ def prescribe(
     Args:
         v (in/out): Velocities, shape (phases, ..., 3) [m/s].
         heavy (in/out): Masses, shape (phases, ...); those of prescribed bodies are multiplied by
-            HEAVY.
+            EFFECTIVE_MASS_FACTOR.
         motion: Rigid motion of each phase.
         points: Positions of the nodes, shape (n, 3) [m].
         dx: Cell size [m].
