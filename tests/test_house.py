@@ -1,4 +1,4 @@
-"""Rules of the house that a reader relies on: imports, packages, prints, and the length of things.
+"""Rules of the house that a reader relies on: imports, packages and prints.
 
 Every import statement counts, also those inside functions.
 """
@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+from tests.house.imports import list_imports
+from tests.house.source_file import PROGRAM, ROOT, SourceFile, list_files
 
 OUTSIDE = {  # packages that only some files may use
     "mpi4py": ("vgmpi/parallel/communicator.py", "vgmpi/io/"),
@@ -92,18 +93,6 @@ COMPILED = (
     "vgmpi/apps/bench/roofline.py",
     "vgmpi/apps/photo/texture_synthesis.py",  # searches for patches of a picture
 )
-# how much of a thing a reader can hold at once
-LINES_OF_A_FILE, LINES_OF_A_FUNCTION, ARGUMENTS, POSITIONS = 400, 60, 12, 8
-# where nine numbers are the entries of one thing, a 3x3 tensor, row by row
-TENSORS = (
-    "vgmpi/materials/tensor_math/",
-    "vgmpi/kernels/",
-    "vgmpi/solver/engines/cuda/",
-    "vgmpi/gaussians/shape_evolution.py",
-    "vgmpi/rendering/studio/body_normals.py",
-    "vgmpi/gaussians/compiled_evolution.py",
-)
-# what is still too large; a line goes when it is mended, and none comes
 PRINT = (
     "vgmpi/apps/commands.py",
     "vgmpi/apps/run/check_command.py",
@@ -121,9 +110,7 @@ PRINT = (
 )
 
 
-def sources():
-    files = [*ROOT.glob("vgmpi/**/*.py"), *ROOT.glob("postprocess/**/*.py")]
-    return sorted(str(path.relative_to(ROOT)) for path in files)
+SOURCES = list_files(*PROGRAM)
 
 
 def is_module(name):
@@ -132,21 +119,8 @@ def is_module(name):
 
 
 def imports(file):
-    """Full names of all that a file imports: modules, and names out of packages where these are
-    modules.
-    """
-    package = file.removesuffix(".py").split("/")[:-1]
-    found = set()
-    for node in ast.walk(ast.parse((ROOT / file).read_text())):
-        if isinstance(node, ast.Import):
-            found.update(alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            base = package[: len(package) - node.level + 1] if node.level else []
-            origin = ".".join([*base, *([node.module] if node.module else [])])
-            for alias in node.names:
-                inner = f"{origin}.{alias.name}"
-                found.add(inner if is_module(inner) else origin)
-    return found
+    """Full names of all that a file imports."""
+    return list_imports(SourceFile(file), is_module)
 
 
 def forbidden(file, imported):
@@ -161,7 +135,7 @@ def forbidden(file, imported):
     return errors
 
 
-@pytest.mark.parametrize("file", sources())
+@pytest.mark.parametrize("file", SOURCES)
 def test_packages_are_used_in_their_rooms(file):
     assert forbidden(file, imports(file)) == []
 
@@ -241,16 +215,13 @@ def test_the_house_has_twelve_rooms_and_six_files_at_its_door():
     assert len(rooms) <= 12 and len(files) <= 6
 
 
-def test_imports_are_found(monkeypatch, tmp_path):
+def test_imports_are_found():
     """All the ways to write one."""
-    monkeypatch.setattr(sys.modules[__name__], "ROOT", tmp_path)
-    folder = tmp_path / "vgmpi" / "solver"
-    folder.mkdir(parents=True)
-    (tmp_path / "vgmpi" / "plan.py").touch()
-    (folder / "run.py").touch()
     text = "from .. import plan\nfrom . import run\nfrom .run import Run\nimport a.b as c\n"
-    (folder / "x.py").write_text(text + "def f():\n    from ..plan import make_plan\n")
-    assert imports("vgmpi/solver/x.py") == {"vgmpi.plan", "vgmpi.solver.run", "a.b"}
+    text += "def f():\n    from ..plan import make_plan\n"
+    modules = {"vgmpi.plan", "vgmpi.solver.run"}
+    imported = list_imports(SourceFile("vgmpi/solver/x.py", text), modules.__contains__)
+    assert imported == {"vgmpi.plan", "vgmpi.solver.run", "a.b"}
 
 
 def prints(file):
@@ -272,7 +243,7 @@ def prints(file):
     ]
 
 
-@pytest.mark.parametrize("file", [f for f in sources() if f.startswith("vgmpi/")])
+@pytest.mark.parametrize("file", [f for f in SOURCES if f.startswith("vgmpi/")])
 def test_only_commands_print(file):
     assert file in PRINT or prints(file) == []
 
@@ -281,76 +252,7 @@ def test_a_print_is_seen():
     assert prints("vgmpi/apps/run/cli.py") and prints("postprocess/render.py")
 
 
-def everything():
-    """All Python files: the program, the tools, the tests and the made scenes."""
-    folders = ("vgmpi", "postprocess", "tests", "runs")
-    files = [path for folder in folders for path in ROOT.glob(f"{folder}/**/*.py")]
-    return sorted(str(path.relative_to(ROOT)) for path in files)
-
-
-@pytest.mark.parametrize("file", everything())
-def test_files_are_short(file):
-    assert len((ROOT / file).read_text().splitlines()) <= LINES_OF_A_FILE
-
-
-def positions(function):
-    """How many things stand side by side where only their order tells them apart: the longest
-    tuple that a function returns, or takes apart into names."""
-    shown = [node.value for node in ast.walk(function) if isinstance(node, ast.Return)]
-    named = [
-        node
-        for node in ast.walk(function)
-        if isinstance(node, ast.Tuple) and isinstance(node.ctx, ast.Store)
-    ]
-    tuples = [node for node in shown + named if isinstance(node, ast.Tuple)]
-    return max((len(node.elts) for node in tuples), default=0)
-
-
-def too_large(file, text):
-    """What no reader can hold, as "file: function: lines", "... arguments", "... positions"."""
-    most = 9 if file.startswith(TENSORS) else POSITIONS
-    found = set()
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-            given = node.args
-            arguments = len(given.posonlyargs + given.args + given.kwonlyargs)
-            arguments += (given.vararg is not None) + (given.kwarg is not None)
-            wrong = {
-                "lines": node.end_lineno - node.lineno + 1 > LINES_OF_A_FUNCTION,
-                "arguments": arguments > ARGUMENTS,
-                "positions": positions(node) > most,
-            }
-            found |= {f"{file}: {node.name}: {what}" for what, is_so in wrong.items() if is_so}
-    return found
-
-
-@pytest.mark.parametrize("file", everything())
-def test_functions_can_be_held(file):
-    """Anything larger wants a name for its parts: a second function, a NamedTuple."""
-    assert not too_large(file, (ROOT / file).read_text())
-
-
-@pytest.mark.parametrize(
-    "text, what",
-    [
-        ("def f():\n" + 60 * "    x = 1\n", "lines"),
-        ("def f(a, b, c, d, e, f, *, g, h, i, j, k, l, m): ...", "arguments"),
-        ("def f(a, b, c, d, e, f, g, h, i, j, k, *l, **m): ...", "arguments"),
-        ("def f(): return 1, 2, 3, 4, 5, 6, 7, 8, 9", "positions"),
-        ("def f(x): a, b, c, d, e, f, g, h, i = x", "positions"),
-        ("def f(x):\n    for a, b, c, d, e, f, g, h, i in x: ...", "positions"),
-    ],
-)
-def test_the_rule_sees_what_is_too_large(text, what):
-    assert too_large("vgmpi/apps/run/cli.py", text) == {f"vgmpi/apps/run/cli.py: f: {what}"}
-
-
-def test_a_tensor_is_one_thing():
-    text = "def f(): return 1, 2, 3, 4, 5, 6, 7, 8, 9"
-    assert too_large("vgmpi/materials/tensor_math/tensor.py", text) == set()
-
-
-@pytest.mark.parametrize("file", [f for f in sources() if f.endswith("__init__.py")])
+@pytest.mark.parametrize("file", [f for f in SOURCES if f.endswith("__init__.py")])
 def test_reading_a_folder_reads_nothing_else(file):
     """Only materials and couplings look for what is in their folder; vgmpi names what scripts use,
     and loads it when asked for."""

@@ -39,6 +39,7 @@ KEPT = {  # what `make test` runs however long it takes: folders, files, functio
         "tests/cuda/test_card_compiles.py::test_what_contracts_is_seen",
         "tests/parallel/test_mutations.py",
         "tests/parallel/test_threads.py",
+        "tests/house/test_ratchets.py",
         "tests/test_house.py",
     ),
     "errors and messages": (
