@@ -102,5 +102,6 @@ say "Python packages"
 pip_install "setuptools>=77,<90" wheel
 pip_install --no-build-isolation -e ".${EXTRAS:+[$EXTRAS]}"
 if [ "$HDF5" = serial ]; then echo "$want" > "$VENV/ready-serial"; else echo "$want $EXTRAS" > "$VENV/ready-parallel"; fi
+[[ ,$EXTRAS, != *,dev,* ]] || .githooks/install.sh || say "commit messages are not checked"
 [ "$HDF5" != serial ] || say "h5py is serial: ranks write through rank 0; \`make setup\` builds the parallel one (2 minutes)"
 say "ready"
