@@ -4,12 +4,13 @@ Other names: tests/house/words.py.
 """
 
 import ast
+import functools
 import re
 from pathlib import Path
 
 import pytest
 
-from tests.house.source_file import FUNCTION, PROGRAM, ROOT, list_files
+from tests.house.source_file import PROGRAM, SourceFile, list_files
 from tests.house.words import PRIVATE
 
 FILES = [path for path in list_files(*PROGRAM) if "old_paths" not in path]
@@ -22,39 +23,45 @@ SECTION = re.compile(r"^\s*(Args|Returns|Attributes|Yields|Raises)\s*:\s*$", re.
 SECTIONS_MISSING = 20
 
 
-def trees():
-    """Yield every file with its syntax tree."""
-    for file in FILES:
-        yield file, ast.parse((ROOT / file).read_text())
-
-
-def undocumented(file, tree):
+def undocumented(file):
     """Yield what is public and has no docstring."""
-    if ast.get_docstring(tree) is None and not file.endswith("__init__.py"):
-        yield file
-    for node in ast.walk(tree):
-        if isinstance(node, FUNCTION | ast.ClassDef) and not node.name.startswith("_"):
-            if ast.get_docstring(node) is None:
-                yield f"{file}: {node.name}"
+    if ast.get_docstring(file.tree) is None and not file.path.endswith("__init__.py"):
+        yield file.path
+    for node in [*file.functions(), *file.classes()]:
+        if not node.name.startswith("_") and ast.get_docstring(node) is None:
+            yield file.place(node, node.name)
 
 
-def openings(tree):
+def openings(file):
     """Yield docstrings that open with a pronoun, a preposition or a participle."""
-    for node in ast.walk(tree):
-        if isinstance(node, FUNCTION | ast.ClassDef) and OPENING.match(
-            ast.get_docstring(node) or ""
-        ):
-            yield ast.get_docstring(node).splitlines()[0]
+    for node in [*file.functions(), *file.classes()]:
+        text = ast.get_docstring(node) or ""
+        if OPENING.match(text):
+            yield file.place(node, text.splitlines()[0])
 
 
-def without_sections(tree):
+def without_sections(file):
     """Yield public functions of more than three arguments that do not explain them."""
-    for node in ast.walk(tree):
-        if isinstance(node, FUNCTION) and not node.name.startswith("_"):
-            documentation = ast.get_docstring(node)
-            count = len(node.args.args) + len(node.args.kwonlyargs)
-            if documentation and count > 3 and not SECTION.search(documentation):
-                yield node.name
+    for node in file.functions():
+        documentation = ast.get_docstring(node)
+        count = len(node.args.args) + len(node.args.kwonlyargs)
+        is_judged = documentation and count > 3 and not node.name.startswith("_")
+        if is_judged and not SECTION.search(documentation):
+            yield file.place(node, node.name)
+
+
+RULES = (undocumented, openings, without_sections)
+
+
+@functools.cache
+def places():
+    """Return what each rule finds; each file is read once."""
+    found = {rule: [] for rule in RULES}
+    for path in FILES:
+        file = SourceFile(path)
+        for rule in RULES:
+            found[rule] += rule(file)
+    return found
 
 
 def test_modules_are_not_private_words_and_have_names_of_their_own():
@@ -66,16 +73,15 @@ def test_modules_are_not_private_words_and_have_names_of_their_own():
 
 
 def test_all_that_is_public_has_a_docstring():
-    assert [name for file, tree in trees() for name in undocumented(file, tree)] == []
+    assert places()[undocumented] == []
 
 
 def test_docstrings_open_with_a_verb_or_a_noun():
-    assert [line for _, tree in trees() for line in openings(tree)] == []
+    assert places()[openings] == []
 
 
 def test_functions_of_many_arguments_explain_them():
-    names = [(file, name) for file, tree in trees() for name in without_sections(tree)]
-    assert len(names) <= SECTIONS_MISSING, names
+    assert len(places()[without_sections]) <= SECTIONS_MISSING, places()[without_sections]
 
 
 @pytest.mark.parametrize(
@@ -84,16 +90,14 @@ def test_functions_of_many_arguments_explain_them():
         ('def f():\n    """What it does."""', openings),
         ('class A:\n    """Of what was found."""', openings),
         ('def f(a, b, c, d):\n    """Add."""', without_sections),
-        ("def f(): ...", lambda tree: undocumented("made_up.py", tree)),
+        ("def f(): ...", undocumented),
     ],
 )
 def test_a_rule_sees_what_breaks_it(text, rule):
-    assert list(rule(ast.parse(text)))
+    assert list(rule(SourceFile("made_up.py", text)))
 
 
 def test_a_rule_leaves_good_names_alone():
     body = '    """Add.\n\n    Args:\n        a: Number.\n    """'
     text = f'"""Module."""\n\n\ndef f(a, b, c, d):\n{body}'
-    tree = ast.parse(text)
-    rules = (openings, without_sections, lambda tree: undocumented("a.py", tree))
-    assert [found for rule in rules for found in rule(tree)] == []
+    assert [found for rule in RULES for found in rule(SourceFile("a.py", text))] == []
