@@ -92,8 +92,6 @@ def parser() -> argparse.ArgumentParser:
         default="velocity",
         help="field: J, velocity, velocity.z, F.0, object ... [velocity]",
     )
-    # former name of the flag
-    p.add_argument("--colour", dest="color", default=argparse.SUPPRESS, help=argparse.SUPPRESS)
     p.add_argument("-o", "--output", default="view.png", help="output picture [view.png]")
     p.add_argument(
         "--range", type=float, nargs=2, metavar=("LOW", "HIGH"), help="range of the color map"

@@ -13,7 +13,7 @@ import pytest
 from tests.house.source_file import PROGRAM, SourceFile, list_files
 from tests.house.words import PRIVATE
 
-FILES = [path for path in list_files(*PROGRAM) if "old_paths" not in path]
+FILES = list_files(*PROGRAM)
 OPENING = re.compile(
     r"^(what|of|those|these|that|which|the same|as|also|how|whether|where|from|with|by|told|once"
     r"|per)\b",

@@ -17,9 +17,6 @@ import sys
 if "numba" not in sys.modules:
     os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
 
-# where earlier releases had the readers of a run's files, and commands that `vgmpi` has now
-__path__.append(os.path.join(__path__[0], "apps", "old_paths"))
-
 __all__ = ["Run", "SceneError", "load", "open_run", "plan", "read", "run", "simulate"]
 
 

@@ -1,14 +1,11 @@
-"""The command `vgmpi`: its subcommands, their help, and the paths of earlier releases."""
+"""The command `vgmpi`: its subcommands and their help."""
 
 import importlib
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
 import pytest
 
-from tests.support.launch import run
 from vgmpi.apps import commands
 
 ROOT = Path(__file__).parents[2]
@@ -53,20 +50,3 @@ def test_what_is_no_command_is_a_scene(tmp_path, capsys):
     assert "none.toml" in capsys.readouterr().err
     assert commands.main(["check", str(tmp_path / "none.toml")]) == 2
     assert "none.toml" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("old, new", [("fit", "fit"), ("images", "photo"), ("study", "tradeoff")])
-def test_the_modules_of_earlier_releases_run_and_name_the_command(old, new):
-    done = run([sys.executable, "-m", f"vgmpi.{old}", "--help"], cwd=ROOT)
-    assert done.returncode == 0 and len(done.stdout) > 100
-    assert done.stderr == f"python -m vgmpi.{old} is now: vgmpi {new}\n"
-
-
-@pytest.mark.parametrize("old, new", [("read", "run_reader"), ("layout", "file_layout")])
-def test_the_imports_of_earlier_releases_work_and_name_the_module(old, new):
-    names = "public = [n for n in dir(b) if n[0] != '_']; print(all(hasattr(a, n) for n in public))"
-    code = f"import vgmpi.output.{old} as a, vgmpi.io.{new} as b; {names}"
-    command = [sys.executable, "-W", "always::DeprecationWarning", "-c", code]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    assert done.stdout == "True\n"
-    assert f"vgmpi.output.{old} is now vgmpi.io.{new}" in done.stderr

@@ -216,18 +216,6 @@ def test_colors_are_varied(tmp_path, block):
     assert [s.name for s in degrees] == ["colors-1", "colors-3"]
 
 
-def test_studies_of_earlier_versions_go_on(tmp_path):
-    """Their flag --vary colours, and their folder with the scene's own settings."""
-    path = write(tmp_path, SCENE)
-    assert setting_study.parse_arguments([str(path), "--vary", "cell,colours"]).vary == (
-        "cell", "colors",
-    )  # fmt: skip
-    study = Study(load(path), tmp_path / "study")
-    assert study.place(parameter_sweep.BASELINE) == tmp_path / "study" / "baseline"
-    (tmp_path / "study" / "as_it_is").mkdir(parents=True)
-    assert study.place(parameter_sweep.BASELINE) == tmp_path / "study" / "as_it_is"
-
-
 def test_a_run_of_two_precisions_is_told_and_a_scene_is_written(tmp_path, capsys):
     path = write(tmp_path, SCENE)
     flags = [str(path), "-o", str(tmp_path / "study"), "--vary", "precision", "--budget", "1 h"]

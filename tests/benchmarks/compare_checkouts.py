@@ -15,14 +15,11 @@ from tests.benchmarks.feature_free_copy import same_bits, stripped
 from vgmpi.apps.bench.benchmark_case import BenchError, Case, lay_out
 from vgmpi.apps.bench.interleaved_rounds import Contestant, Worker
 
-# runs in the other checkout, which may be an older one
+# runs in the other checkout
 LAY_OUT = """
 import sys
 from pathlib import Path
-try:
-    from vgmpi.apps.bench.benchmark_case import Case, lay_out
-except ModuleNotFoundError:
-    from vgmpi.bench.scene import Case, lay_out
+from vgmpi.apps.bench.benchmark_case import Case, lay_out
 lay_out(Case(sys.argv[1], int(sys.argv[2])), ["single"], Path(sys.argv[3]))
 """
 STRIPPED = Path("stripped")

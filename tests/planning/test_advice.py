@@ -237,11 +237,6 @@ def studied_lines(folder, rows=ROWS, of=None, overrides=()):
     return [s for s in format_plan(scene, plan, 1).splitlines() if "in the study" in s]
 
 
-def test_a_study_of_an_earlier_version_is_quoted_alike(tmp_path):
-    old = [("as_it_is", *ROWS[0][1:]), *ROWS[1:]]
-    assert studied_lines(tmp_path, old) == studied_lines(tmp_path)
-
-
 def test_a_study_beside_the_scene_is_quoted(tmp_path):
     (line,) = studied_lines(tmp_path)  # not what is worse, nor what is dearer
     assert "accuracy.precision (" in line and "with single instead it took 0.50 of the time" in line

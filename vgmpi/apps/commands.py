@@ -10,7 +10,6 @@ import sys
 from typing import NamedTuple
 
 from vgmpi.runtime.argument_parser import EXIT_USAGE
-from vgmpi.runtime.exit_handler import exit_code_from_exceptions
 from vgmpi.runtime.process_limits import find_unusable_limit
 from vgmpi.runtime.suggestions import did_you_mean
 from vgmpi.runtime.versions import program_version
@@ -114,19 +113,3 @@ def _suggest_command(argv: list[str]) -> str:
         return ""
     suggestion = did_you_mean(word, COMMANDS)
     return f"there is no command or scene {word!r}{suggestion}" if suggestion else ""
-
-
-@exit_code_from_exceptions
-def run_old_module(module: str, name: str, words: list[str]) -> int:
-    """Run the command that replaces a module of an earlier release, and print its name.
-
-    Args:
-        module: Module of an earlier release.
-        name: Command that replaces it.
-        words: Words of the command line for `main`.
-
-    Returns:
-        The exit code.
-    """
-    print(f"python -m vgmpi.{module} is now: vgmpi {name}", file=sys.stderr)
-    return main(words)

@@ -39,9 +39,7 @@ NAMES = {
     "warp_rival": "Warp",
 }
 INSIDE = "vgmpi.apps.bench.instrumented_contestant"  # what a study of makers asks for
-# what the worker is called in a checkout of this program, in a later one first of this checkout,
-# and of one from before rooms had these names
-WORKERS = ("vgmpi.apps.bench.contestant_worker", "vgmpi.bench.worker")
+WORKER = "vgmpi.apps.bench.contestant_worker"  # module of a contestant's process
 AVX2 = {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "+avx2,+fma,+bmi,+bmi2"}
 # what two contestants may differ by after the check's steps: rounding of single precision, for the
 # rivals of positions counted from the grid's corner
@@ -103,10 +101,9 @@ class Contestant:
 
 def worker_of(tree: Path) -> str:
     """The module of a checkout that a contestant's process runs. Raises BenchError."""
-    for name in WORKERS:
-        if (tree / f"{name.replace('.', '/')}.py").is_file():
-            return name
-    raise BenchError(f"{tree}: no checkout of this program: it has none of {', '.join(WORKERS)}")
+    if (tree / f"{WORKER.replace('.', '/')}.py").is_file():
+        return WORKER
+    raise BenchError(f"{tree}: no checkout of this program: it has no {WORKER}")
 
 
 class Worker:

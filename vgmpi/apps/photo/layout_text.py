@@ -59,8 +59,6 @@ def replace_objects(text: str, objects: list[tuple[int | None, dict[str, Any]]])
         is_new = number is None
         table = tomlkit.table() if number is None else tables[numbers.index(number)]
         for key, value in values.items():
-            if key == "point_prompts":
-                table.pop("clicks", None)  # the name of earlier versions
             if value is None:
                 table.pop(key, None)
             elif is_new or table.get(key) != value:

@@ -40,9 +40,6 @@ def _parser() -> argparse.ArgumentParser:
         " time estimate of --plan or of a run includes contact and motion; --plan does it by itself"
         " for up to 20 s of processor time",
     )
-    parser.add_argument(  # name of earlier releases
-        "--rehearse", dest="pilot", action="store_true", help=argparse.SUPPRESS
-    )
     parser.add_argument(
         "--calibrate",
         action="store_true",

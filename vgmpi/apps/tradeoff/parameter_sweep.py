@@ -110,9 +110,6 @@ PARAMETERS = (
 )
 
 
-OLD_PARAMETERS = {"colours": "colors"}  # old names that are still read
-
-
 def _precision(scene: Scene) -> list[Setting]:
     other = {"single": "double", "double": "single"}[scene.accuracy.precision]
     return [Setting((("precision", other),), (f"accuracy.precision={other}",))]

@@ -103,8 +103,7 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
     if args.quick and args.vary is not None:
         parser.error("--quick varies the cells alone: give --quick or --vary")
     vary = ",".join(DEFAULT) if args.vary is None else args.vary
-    words = [word.strip() for word in vary.split(",") if word.strip()]
-    args.vary = tuple(parameter_sweep.OLD_PARAMETERS.get(word, word) for word in words)
+    args.vary = tuple(word.strip() for word in vary.split(",") if word.strip())
     unknown = [word for word in args.vary if word not in parameter_sweep.PARAMETERS]
     if unknown:
         parser.error(

@@ -13,7 +13,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from vgmpi.parallel.launch import OPEN_MPI
-from vgmpi.planning.cost.tradeoff_results import BASELINE, OLD_BASELINE, fingerprint
+from vgmpi.planning.cost.tradeoff_results import fingerprint
 from vgmpi.runtime.atomic_write import replace_file
 from vgmpi.scene.scene import Scene
 from vgmpi.solver.diagnostics.probe_sampling import files
@@ -43,9 +43,6 @@ class Study:
 
     def place(self, setting: Setting) -> Path:
         """Return the folder of a run."""
-        old_folder = self.folder / OLD_BASELINE
-        if setting.name == BASELINE and old_folder.is_dir():  # of an earlier version
-            return old_folder
         return self.folder / setting.name
 
     def done(self, setting: Setting) -> float | None:

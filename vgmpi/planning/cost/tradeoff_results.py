@@ -11,7 +11,6 @@ from vgmpi.scene.scene import Scene
 
 FOLDER, TABLE = "tradeoff", "tradeoff.csv"
 BASELINE = "baseline"  # name of the run with the scene's own settings
-OLD_BASELINE = "as_it_is"  # its name in studies of earlier versions
 COLUMNS = ("setting", "cells", "cpu_s", "error", "set", "scene")
 MAX_RELATIVE_TIME = 0.8  # [-] relative time below which a setting is recommended
 # [-] admissible error: relative to that of the scene's own settings, and as an absolute increase
@@ -33,7 +32,7 @@ def cheaper_setting_lines(scene: Scene) -> list[str]:
     try:
         with open(path, newline="") as file:
             rows = {row["setting"]: row for row in csv.DictReader(file)}
-        own = rows.pop(BASELINE if BASELINE in rows else OLD_BASELINE)
+        own = rows.pop(BASELINE)
         if own["scene"] != fingerprint(scene):
             return []
         lines = [_line(scene, own, row) for row in rows.values()]
