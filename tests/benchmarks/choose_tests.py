@@ -30,7 +30,7 @@ KEPT = {  # what `make test` runs however long it takes: folders, files, functio
     ),
     "restart": (
         "tests/io/test_checkpoint.py",
-        "tests/io/test_earlier_version.py",
+        "tests/io/test_other_schema.py",
         "tests/parallel/test_bits.py::test_stop_between_two_sorts_and_resume[single]",
         "tests/parallel/test_faults.py::test_stop_after_steps",
     ),

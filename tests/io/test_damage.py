@@ -1,7 +1,6 @@
 """What is damaged, missing, foreign or a link in a run's folder is named; nothing else is read in
 its place."""
 
-import logging
 
 import h5py
 import numpy as np
@@ -68,7 +67,7 @@ def test_what_a_frame_says_of_itself_is_looked_at(out):
         ids = np.arange(damaged_files.TOTAL)
         with hdf5_writer.create(path, SerialCommunicator()) as f:
             f.attr("", "schema", file_layout.SCHEMA)
-            f.whole("VTKHDF/NumberOfPoints", np.array([damaged_files.TOTAL]))
+            f.whole("VTKHDF/NumberOfPoints", np.array([other.get("count", damaged_files.TOTAL)]))
             f.rows("VTKHDF/PointData/id", other.get("id", ids))
             f.rows("VTKHDF/Points", columns(ids)["positions"].astype(other.get("type", "f4")))
             f.whole("frame", np.array(other.get("frame", 1)))
@@ -81,21 +80,20 @@ def test_what_a_frame_says_of_itself_is_looked_at(out):
         ({"id": np.arange(damaged_files.TOTAL) - 1}, "id does not ascend"),
         ({"type": "f8"}, "positions is float64"),
         ({"frame": 2}, "it is frame 2, not 1"),
+        ({"count": 7}, "id should have 7 rows"),
     ):
         written(**other)
         with pytest.raises(RunError, match=f"frame_00001.vtkhdf: damaged: {said}"):
             run.frame(1)
 
 
-def test_frames_of_earlier_versions_are_read_with_a_note(out, caplog):
+def test_a_frame_without_checksums_is_refused(out):
     path = out / "frames" / "frame_00001.vtkhdf"
-    want = RunReader(out).frame(1)
     with h5py.File(path, "r+") as f:
-        del f["crc"], f["frame"]
-    with caplog.at_level(logging.INFO):
-        found = RunReader(out).frame(1)
-    assert all((found[name] == want[name]).all() for name in want)
-    assert "without checksums" in caplog.text and "without checksums" in inspect(path)
+        del f["crc"]
+    with pytest.raises(RunError, match="frame_00001.vtkhdf: damaged: it has no checksums"):
+        RunReader(out).frame(1)
+    assert "NOT VALID: damaged: it has no checksums" in inspect(path)
     with h5py.File(path, "r+") as f:
         f["brc"] = 1  # as one bit would make it of crc
     with pytest.raises(RunError, match="it holds 'brc', which is not of such a file"):
@@ -226,7 +224,7 @@ LEADS_OUT = {
 
 @pytest.mark.parametrize("change", LEADS_OUT)
 def test_nothing_leads_out_of_a_frame(out, tmp_path, change):
-    """Not with checksums either, of which an earlier version's file has none."""
+    """Not where checksums are gone either."""
     victim = tmp_path / "victim.h5"
     with h5py.File(victim, "w") as f:
         f["secret"] = np.full((damaged_files.TOTAL, 3), 42.0, "f4")

@@ -140,12 +140,12 @@ def test_a_liquid_takes_the_volume_of_its_cells(tmp_path, stretch):
 
 
 def test_a_ledger_without_the_columns_goes_on_without_them(tmp_path, monkeypatch):
-    """As earlier versions have begun it."""
+    """A changed scene may have other liquids than the run began with."""
     path = tmp_path / "scene.toml"
     path.write_text(SCENE.replace("CORRECTION", "shifting"))
     out = tmp_path / "out"
-    with monkeypatch.context() as earlier:
-        earlier.setattr(run, "liquid_phases", lambda plan: [])
+    with monkeypatch.context() as patch:
+        patch.setattr(run, "liquid_phases", lambda plan: [])
         assert cli.main([str(path), "-q", "-o", str(out), "--stop-after", "30 steps"]) == 75
     liquids, _ = csv_log.optional_ledger_columns(out / "ledger.csv", True, False)
     assert not liquids

@@ -14,7 +14,6 @@ import h5py
 import numpy as np
 
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.runtime.config import renamed_keys
 
 from . import checkpoint_manifest, file_layout, hdf5_validation, hdf5_writer
 
@@ -177,20 +176,29 @@ def latest_valid(folder: str | Path, ranks: SerialCommunicator | None = None) ->
 
     It logs a one-line warning on newer ones that are not valid.
     """
-    folder, ranks = Path(folder), ranks or SerialCommunicator()
+    ranks = ranks or SerialCommunicator()
+    path, passed = _find_valid(Path(folder), ranks)
+    _warn_of_passed(path, passed, ranks)
+    return path
+
+
+def _warn_of_passed(path, passed, ranks):
+    """Log a line on rank 0 about newer checkpoints that are not valid."""
+    if passed and ranks.rank == 0:
+        taken = f"resuming from {path.name}" if path else "no valid checkpoint is left"
+        log.warning("passed over %s: %s", passed, taken)
+
+
+def _find_valid(folder, ranks):
+    """Return the newest valid checkpoint or None, and a text on those that were passed over."""
     passed = []
     for step in ranks.bcast(sorted(_steps_in(folder), reverse=True)):
         path = folder / file_layout.CHECKPOINT_NAME.format(step)
         problem = _problem(path, ranks)
         if problem is None:
-            break
+            return path, "; ".join(passed)
         passed.append(f"{path.name} ({problem})")
-    else:
-        path = None
-    if passed and ranks.rank == 0:
-        taken = f"resuming from {path.name}" if path else "no valid checkpoint is left"
-        log.warning("passed over %s: %s", "; ".join(passed), taken)
-    return path
+    return None, "; ".join(passed)
 
 
 def select(requested: str, folder: Path, ranks: SerialCommunicator) -> Path:
@@ -201,9 +209,11 @@ def select(requested: str, folder: Path, ranks: SerialCommunicator) -> Path:
     if requested:
         verify(requested, ranks)
         return Path(requested)
-    newest = latest_valid(folder, ranks)
+    newest, passed = _find_valid(folder, ranks)
     if newest is None:
-        raise CheckpointError(f"--resume: no valid checkpoint in {folder}")
+        reason = f": {passed}" if passed else ""
+        raise CheckpointError(f"--resume: no valid checkpoint in {folder}{reason}")
+    _warn_of_passed(newest, passed, ranks)
     return newest
 
 
@@ -242,7 +252,6 @@ class Checkpoint:
             self.attrs: dict = json.loads(self.file["attrs"][()])
             if not isinstance(self.attrs, dict):
                 raise ValueError("attrs is no table")
-            self.replacements = renamed_keys.CHECKPOINT.apply(self.attrs)
         except (OSError, LookupError, ValueError, TypeError, RuntimeError) as error:
             raise CheckpointError(
                 f"{path}: not a checkpoint: {hdf5_writer.reason(error)}"

@@ -107,7 +107,7 @@ def load(checkpoint: Path) -> dict:
     except (OSError, ValueError, RecursionError):
         raise InvalidCheckpoint("its manifest is not readable") from None
     schema = manifest.get("schema") if isinstance(manifest, dict) else None
-    if schema not in file_layout.READABLE_SCHEMAS:
+    if schema != file_layout.SCHEMA:
         raise InvalidCheckpoint(
             f"its schema is {schema!r:.20}, this program's {file_layout.SCHEMA}"
         )

@@ -14,7 +14,6 @@ from pathlib import Path
 
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.runtime import safe_open
-from vgmpi.runtime.config import renamed_keys
 
 from . import file_layout, hdf5_writer
 from .run_reader import RunError
@@ -176,9 +175,8 @@ def read_probe(path: Path) -> list[dict]:
         head = safe_open.read_regular_file(path, MAX_BYTES, follow=False).split(b"\n", 1)[0]
     except OSError as error:
         raise RunError(f"{path}: {error.strerror}") from None
-    head = _with_new_names(path, head)
     for columns in file_layout.PROBE_COLUMNS.values():
-        if head in (_header(columns).encode(), _header(columns, sealed=False).encode()):
+        if head == _header(columns).encode():
             return read_rows(path, columns)
     raise RunError(f"{path}:1: damaged: its columns are those of no probe")
 
@@ -256,17 +254,15 @@ def _word(value):
     return repr(value.item() if hasattr(value, "item") else value)
 
 
-def _header(columns, sealed=True):
+def _header(columns):
     """Return the header line."""
-    return ",".join(d.name for d in [*columns, file_layout.ROW_CHECKSUM][: None if sealed else -1])
+    return ",".join(d.name for d in [*columns, file_layout.ROW_CHECKSUM])
 
 
 def read_rows(
     path: str | Path, columns: list[file_layout.Dataset] = file_layout.LEDGER_COLUMNS
 ) -> list[dict]:
     """Return the rows of a table; an incomplete last line is omitted.
-
-    Rows of earlier versions have no checksums: only words that are not numbers are detected there.
 
     Args:
         path: File of the table.
@@ -282,42 +278,30 @@ def read_rows(
         reason = "is a link to elsewhere" if link else error.strerror
         raise RunError(f"{path}: {reason}") from None
     head, *lines = text.split(b"\n")
-    head = _with_new_names(path, head)
     if columns is file_layout.LEDGER_COLUMNS:
         variants = [
             ledger_columns(*present) for present in itertools.product((False, True), repeat=3)
         ]
         columns = next((c for c in variants if head == _header(c).encode()), columns)
-    sealed = head == _header(columns).encode()
-    if not lines or not (sealed or head == _header(columns, sealed=False).encode()):
+    if not lines or head != _header(columns).encode():
         raise RunError(f"{path}:1: damaged: its columns are not {_header(columns)}")
     last, before = lines.pop(), 0  # after the last newline: empty, or an incomplete line
     rows = []
     for number, line in enumerate(lines, 2):
-        words, before, is_valid = _split_checksum(line, before) if sealed else (line, 0, True)
+        words, before, is_valid = _split_checksum(line, before)
         row = _parsed(words, columns) if is_valid else None
         if row is None:
             raise RunError(f"{path}:{number}: damaged: this row is not what was written")
         rows.append(row)
     if last:
-        words, expected, is_valid = _split_checksum(last, before) if sealed else (last, 0, True)
+        words, expected, is_valid = _split_checksum(last, before)
         row = _parsed(words, columns) if is_valid else None
         if row is not None:
             rows.append(row)
-        elif sealed and not _is_truncated_row(last, words, expected, len(columns)):
+        elif not _is_truncated_row(last, words, expected, len(columns)):
             number = len(lines) + 2
             raise RunError(f"{path}:{number}: damaged: this row is not what was written")
     return rows
-
-
-def _with_new_names(path, head):
-    """Return a header line with the new names of columns in the place of old ones."""
-    new_names = {old.encode(): new.encode() for new, old in renamed_keys.COLUMNS.items()}
-    old_words = [word for word in head.split(b",") if word in new_names]
-    if old_words:
-        pairs = (f"{word.decode()!r} is now {new_names[word].decode()!r}" for word in old_words)
-        log.info("%s: of an earlier version: %s", path, ", ".join(pairs))
-    return b",".join(new_names.get(word, word) for word in head.split(b","))
 
 
 def _split_checksum(line, before):

@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-SCHEMA = 2  # increased when a reader of older files would misread new ones
-READABLE_SCHEMAS = (1, 2)  # 1: before datasets and columns had the names of this version
+SCHEMA = 2  # of all files; files of another schema are refused
 
 FRAMES, CHECKPOINTS = "frames", "checkpoints"  # folders inside the output folder
 LOCK = "run.lock"  # lock file of the run that writes into the folder

@@ -65,6 +65,13 @@ def check_structure(file: h5py.File, series: bool = False) -> None:
                 raise CorruptFileError(f"{name} is neither a group nor a dataset")
 
 
+def check_schema(file: h5py.File) -> None:
+    """Check the schema of a file that names one. Raises SchemaVersionError."""
+    schema = int(file.attrs.get("schema", file_layout.SCHEMA))
+    if schema != file_layout.SCHEMA:
+        raise SchemaVersionError(f"its schema is {schema}, this program's {file_layout.SCHEMA}")
+
+
 def datasets(file: h5py.File) -> list[str]:
     """Return the names of all datasets."""
     names: list[str] = []

@@ -10,7 +10,6 @@ import h5py
 import numpy as np
 
 from vgmpi.gaussians.render_models import COMPENSATED_LOWPASS
-from vgmpi.runtime.config import renamed_keys
 
 from . import checkpoint_manifest, file_layout, hdf5_validation
 from .hdf5_validation import CorruptFileError
@@ -26,13 +25,10 @@ GAUSSIAN_FORMS = {
 }  # fmt: skip
 
 
-def read_checksums(f: h5py.File) -> dict[str, int] | None:
-    """Return the CRC32 of each dataset by its name; None in files of earlier versions.
-
-    Raises Damaged.
-    """
+def read_checksums(f: h5py.File) -> dict[str, int]:
+    """Return the CRC32 of each dataset by its name. Raises CorruptFileError."""
     if file_layout.CRC not in f:
-        return None
+        raise CorruptFileError("it has no checksums")
     try:
         result = json.loads(f[file_layout.CRC][()])
     except (ValueError, RecursionError):
@@ -43,7 +39,7 @@ def read_checksums(f: h5py.File) -> dict[str, int] | None:
 
 
 def verify_checksums(f: h5py.File, read_data: dict) -> None:
-    """Compare datasets with their checksums. Files of earlier versions pass.
+    """Compare datasets with their checksums.
 
     Args:
         f: The file.
@@ -53,8 +49,6 @@ def verify_checksums(f: h5py.File, read_data: dict) -> None:
         Damaged: A dataset is not what was written, or one that was written is missing.
     """
     want = read_checksums(f)
-    if want is None:
-        return
     missing = [name for name in want if name not in f]
     if missing:
         raise CorruptFileError(f"there is no {missing[0]}")
@@ -68,12 +62,9 @@ def verify_checksums(f: h5py.File, read_data: dict) -> None:
 
 
 def _check_head(f, expected):
-    """Check the schema, and that the file holds nothing that such a file does not have."""
-    schema = int(f.attrs["schema"])
-    if schema not in file_layout.READABLE_SCHEMAS:
-        raise hdf5_validation.SchemaVersionError(
-            f"its schema is {schema}, this program's {file_layout.SCHEMA}"
-        )
+    """Check that the file names its schema and holds nothing that such a file does not have."""
+    if "schema" not in f.attrs:
+        raise CorruptFileError("it names no schema")
     foreign = sorted(set(f) - expected)
     if foreign:
         raise CorruptFileError(f"it holds {foreign[0]!a:.60}, which is not of such a file")
@@ -93,26 +84,19 @@ def check_frame(
     Raises:
         Damaged: The data are damaged, or the file is another frame's or one of other particles.
     """
-    identity = renamed_keys.dataset_name("gaussians_crc", f)
-    _check_head(f, {"VTKHDF", identity, *(d.name for d in file_layout.FRAME_OWN)})
-    if file_layout.CRC in f:
-        frame = f["frame"][()]
-        named = {name: f[name][()] for name in (identity, "poses") if name in f}
-        verify_checksums(f, {**read_data, "frame": frame, **named})
-        if number is not None and int(frame) != number:
-            raise CorruptFileError(f"it is frame {int(frame)}, not {number}")
-        if particles is not None and named and int(named[identity]) != particles:
-            raise CorruptFileError(
-                f"it is of other particles than {file_layout.GAUSSIANS} beside it"
-            )
+    _check_head(f, {"VTKHDF", *(d.name for d in file_layout.FRAME_OWN)})
+    own = {d.name: f[d.name][()] for d in file_layout.FRAME_OWN if d.name in f}
+    own.pop(file_layout.CRC, None)
+    verify_checksums(f, {**read_data, **own})
+    if number is not None and int(own["frame"]) != number:
+        raise CorruptFileError(f"it is frame {int(own['frame'])}, not {number}")
+    if particles is not None and own.get("gaussians_crc", particles) != particles:
+        raise CorruptFileError(f"it is of other particles than {file_layout.GAUSSIANS} beside it")
 
 
 def series_frames(f: h5py.File) -> list[int]:
     """Return the numbers of the frames that series.vtkhdf refers to. Raises Damaged."""
     _check_head(f, {"VTKHDF", *(d.name for d in file_layout.SERIES_OWN)})
-    if file_layout.CRC not in f:
-        sources = hdf5_validation.source_frames(f["VTKHDF/FieldData/time"])
-        return [number for number in sources if number is not None]
     numbers = f["frames"][()]
     verify_checksums(f, {"frames": numbers})
     return numbers.tolist()
@@ -121,8 +105,6 @@ def series_frames(f: h5py.File) -> list[int]:
 def check_series(f: h5py.File) -> None:
     """Check that series.vtkhdf refers to the right rows of each frame. Raises Damaged."""
     series_frames(f)
-    if file_layout.CRC not in f:
-        return
     names = hdf5_validation.datasets(f)
     virtual = [name for name in names if f[name].is_virtual]
     read_data = {

@@ -5,7 +5,7 @@
 
 from . import file_layout
 
-INTRODUCTION = """\
+INTRODUCTION = f"""\
 # Output files
 
 This page lists the files of a run and all their datasets.
@@ -30,8 +30,9 @@ of HDF5. Files are written atomically: as `NAME.tmp`, flushed to disk, then rena
 every file are the same for any number of ranks.
 
 Every file contains checksums (those of a checkpoint are in its manifest). Readers compare them and
-name the damaged file and dataset or line. A file that is a link, or that stores its numbers in
-another file, is refused, except series.vtkhdf, which refers to the frames of its folder.
+name the damaged file and dataset or line. A file of another schema than {file_layout.SCHEMA} is
+refused. So is a file that is a link, or that stores its numbers in another file, except
+series.vtkhdf, which refers to the frames of its folder.
 `vgmpi inspect FILE` verifies a whole file.
 """
 ABOUT_CHECKPOINTS = f"""\
@@ -46,8 +47,7 @@ One row per frame and phase, numbers with all digits. Readers name the line of a
 resume refuses a table with a modified row or without its last rows, because the checkpoint stores
 the `crc` of the last row before it. An incomplete last line, left by a killed run, is ignored.
 `crc` is `zlib.crc32(words, before)`: words are the bytes of the line before its last comma, before
-is the crc of the line above, or 0 in the first line. A resume adds `crc` to tables of earlier
-versions without it.
+is the crc of the line above, or 0 in the first line.
 """
 
 
@@ -104,8 +104,7 @@ def page() -> str:
         _table(file_layout.FRAME_FIELD_DATA, "VTKHDF/FieldData/"),
         _table(file_layout.FRAME_TOPOLOGY, "VTKHDF/"),
         _table(file_layout.FRAME_OWN),
-        "Attributes: `VTKHDF/Type`, `VTKHDF/Version`, and `/schema` (integer). Frames of "
-        "earlier versions have no `frame` and no `crc`; they are read without verification. "
+        "Attributes: `VTKHDF/Type`, `VTKHDF/Version`, and `/schema` (integer). "
         "`gaussians_crc` is the CRC32 of the checksums in gaussians.h5, those of its texts and "
         "`shade` left out, as JSON pairs in the order of their names; checkpoints have it too.\n",
         "## series.vtkhdf\n",

@@ -19,7 +19,6 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 
-from vgmpi.runtime.config import renamed_keys
 from vgmpi.runtime.suggestions import did_you_mean_file
 
 from . import checkpoint_manifest, file_layout, hdf5_validation, integrity
@@ -47,11 +46,12 @@ def opened(path: Path, series: bool = False):
     try:
         with h5py.File(path, "r") as f:
             hdf5_validation.check_structure(f, series)
+            hdf5_validation.check_schema(f)
             yield f
     except RunError:
         raise
     except hdf5_validation.CorruptFileError as damaged:
-        raise RunError(f"{path}: {damaged}") from None
+        raise RunError(f"{path}: {damaged}") from damaged
     except Exception as error:  # a damaged file makes HDF5, h5py and json raise many types
         raise RunError(f"{path}: broken or not a file of vgmpi: {_first_line(error)}") from None
 
@@ -76,7 +76,6 @@ class RunReader:
         self.folder = Path(folder)
         if not self.folder.is_dir():
             raise RunError(f"{self.folder}: no such folder{did_you_mean_file(self.folder)}")
-        self._warned = False  # the notice on frames without checksums is logged once
         self.refresh()
 
     def refresh(self) -> None:
@@ -116,6 +115,8 @@ class RunReader:
             with opened(path, series=True) as f:
                 return integrity.series_frames(f)
         except RunError as error:
+            if isinstance(error.__cause__, hdf5_validation.SchemaVersionError):
+                raise  # the frames have the same schema
             log.warning("%s", error)
             return []
 
@@ -189,16 +190,10 @@ class RunReader:
             integrity.check_frame(f, number, data, self._particles)
             count = int(data.pop("VTKHDF/NumberOfPoints")[0])
             arrays = {name.removeprefix("VTKHDF/PointData/"): a for name, a in data.items()}
-            for new, old in renamed_keys.DATASETS.items():
-                if old in arrays:
-                    arrays[new] = arrays.pop(old)
             arrays = {"id": arrays.pop("id"), "positions": arrays.pop("VTKHDF/Points"), **arrays}
             integrity.check_arrays(arrays, count)
             if "poses" in f:
                 arrays["poses"] = integrity.checked_poses(f["poses"][()])
-            if file_layout.CRC not in f and not self._warned:
-                self._warned = True
-                log.info("%s: frames of an earlier version, without checksums", self.folder)
         return arrays
 
     @functools.cached_property
@@ -225,17 +220,14 @@ class RunReader:
         return self.gaussians.scene
 
 
-def particle_set_id(path: str | Path) -> int | None:
-    """Return the identity of the particles of a gaussians.h5; None in earlier versions.
+def particle_set_id(path: str | Path) -> int:
+    """Return the identity of the particles of a gaussians.h5.
 
     Its texts are excluded: they describe the scene, which may change partly at a resume. The data
-    on the light in the colors are excluded too, because earlier versions lack them. Raises
-    RunError.
+    on the light in the colors are excluded too: they change no particle. Raises RunError.
     """
     with opened(Path(path)) as f:
         checksums = integrity.read_checksums(f)
-    if checksums is None:
-        return None
     excluded = {d.name for d in file_layout.GAUSSIAN_TEXTS}
     excluded |= {f"{group}shade" for group in ("", "scenery/", "passive/")}
     text = json.dumps(sorted(pair for pair in checksums.items() if pair[0] not in excluded))
@@ -259,9 +251,7 @@ def read_gaussians(path: str | Path) -> SimpleNamespace:
                 setattr(result, group, _arrays(f, f"{group}/", datasets, data))
         integrity.check_gaussians(f, data)
         result.objects = json.loads(data["objects"])
-        renamed_keys.OBJECT_ENTRIES.apply(result.objects)
         result.scene = json.loads(data["scene"])
-        renamed_keys.SCENE.apply(result.scene)
         result.digest = f.attrs["digest"].decode()
         integrity.check_objects(result)
         return result
@@ -321,7 +311,7 @@ def _summary(path, f, kind):
     """Return the most important lines."""
     if kind == "frame":
         data, number = f["VTKHDF/FieldData"], file_layout.frame_number(path.name)
-        state = _state(lambda: integrity.check_frame(f, number, _all(f)), f)
+        state = _state(lambda: integrity.check_frame(f, number, _all(f)))
         return [f"time {data['time'][0]:.9g} s, step {data['step'][0]}; {state}"]
     if kind == "series of frames":
         times = f["VTKHDF/Steps/Values"][()]
@@ -329,8 +319,7 @@ def _summary(path, f, kind):
         return [f"{len(times)} frames, time {times[0]:.9g} .. {times[-1]:.9g} s"]
     if kind == "gaussians":
         objects = json.loads(f["objects"][()])
-        renamed_keys.OBJECT_ENTRIES.apply(objects)
-        lines = [_state(lambda: integrity.check_gaussians(f, _all(f)), f)]
+        lines = [_state(lambda: integrity.check_gaussians(f, _all(f)))]
         return lines + [
             "object {}: {} {}, {} rows from {}".format(
                 i, *(o.get(k, "-") for k in ("name", "kind", "row_count", "first_row"))
@@ -352,16 +341,13 @@ def _all(f):
     return {name: f[name][()] for name in hdf5_validation.datasets(f) if name != file_layout.CRC}
 
 
-def _state(check, f):
+def _state(check):
     """Return the result of a check of the whole file, as text."""
     try:
         check()
     except hdf5_validation.CorruptFileError as damaged:
         return f"NOT VALID: {damaged}"
-    has_checksums = file_layout.CRC in f
-    return (
-        "agrees with its checksums" if has_checksums else "of an earlier version, without checksums"
-    )
+    return "agrees with its checksums"
 
 
 def _check_series(path, f, times):

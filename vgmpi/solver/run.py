@@ -16,7 +16,6 @@ from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.planning.cost.plan_report import format_plan
 from vgmpi.planning.plan import Plan
 from vgmpi.preprocess.initial_velocity import initial_velocity_gradient
-from vgmpi.runtime.config.renames import list_new_names
 from vgmpi.runtime.versions import versions
 from vgmpi.scene.resume_rules import (
     changes_without_effect,
@@ -369,8 +368,6 @@ def resolve_checkpoint(
     path = checkpoint.select(requested, folder / file_layout.CHECKPOINTS, ranks)
     with on_all(ranks, path, lambda: checkpoint.open(path)) as saved:
         check_attrs(path, saved.attrs)
-        if saved.replacements:
-            log.info("%s: of an earlier version: %s", path, list_new_names(saved.replacements))
         return path, saved.attrs
 
 

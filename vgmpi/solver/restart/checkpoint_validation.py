@@ -35,7 +35,7 @@ def check_attrs(path: Any, attrs: dict, run: bool = True) -> None:
     Raises:
         Mismatch: If an attribute is missing or impossible.
     """
-    reach = attrs.get("reach", [0.0])
+    reach = attrs.get("reach")
     checks = {
         "time": _number(attrs.get("time")) and 0.0 <= attrs["time"] < 1e100,
         "sorted_time": _number(sorted_time := attrs.get("sorted_time", 0.0))

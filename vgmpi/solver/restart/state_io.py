@@ -8,7 +8,7 @@ from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.particle_group import SIMD_WIDTH, ParticleGroup
 from vgmpi.solver.diagnostics.particle_fields import continuum_rows
 from vgmpi.solver.diagnostics.volume_fractions import volume_fractions
-from vgmpi.solver.engines.engine_protocol import UNKNOWN_MAXIMA, ParticleMaxima
+from vgmpi.solver.engines.engine_protocol import ParticleMaxima
 from vgmpi.solver.simulation import Simulation
 
 from .checkpoint_validation import (
@@ -194,7 +194,7 @@ def restore(simulation: Simulation, saved) -> None:
         )
     simulation.time, simulation.step = saved.attrs["time"], saved.attrs["step"]
     simulation.rate = saved.attrs["rate"]
-    simulation.particle_maxima = ParticleMaxima(*saved.attrs.get("reach", UNKNOWN_MAXIMA))
+    simulation.particle_maxima = ParticleMaxima(*saved.attrs["reach"])
     simulation.sorted_at = simulation.step
     simulation.correction_origin_step = saved.attrs.get("since", 0)
     if simulation.releases is not None:
