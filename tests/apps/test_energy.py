@@ -29,7 +29,7 @@ shape = { box = [[0.14, 0.14, 0.14], [0.18, 0.18, 0.18]] }
 """
 FLIES = SCENE.replace("WEIGHT", "0") + "velocity = [0.5, 0, 0]\n"
 FALLS = SCENE.replace("WEIGHT", "-9.8") + "velocity = [0, 0, 0.4]\n"
-SPINS = SCENE.replace("WEIGHT", "0") + "spin = [0, 0, 20]\n"
+SPINS = SCENE.replace("WEIGHT", "0") + "angular_velocity = [0, 0, 20]\n"
 
 
 def left(folder, text, transfer):

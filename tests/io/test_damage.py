@@ -1,7 +1,6 @@
 """What is damaged, missing, foreign or a link in a run's folder is named; nothing else is read in
 its place."""
 
-
 import h5py
 import numpy as np
 import pytest

@@ -250,15 +250,17 @@ def test_a_file_that_is_not_there(tmp_path):
         render_config.load(tmp_path / "none.toml")
 
 
-def test_the_old_spelling_of_color_is_read_with_a_word(tmp_path, caplog):
+def test_another_spelling_of_color_is_an_unknown_key(tmp_path):
     """A floor's; an object that is called so keeps its name."""
-    text = "[picture]\n\nfloor = { colour = '#ff0000' }\n[look.opacity_scale]\ncolour = 0.5\n"
+    text = "[picture]\n\nfloor = { color = '#ff0000' }\n[look.opacity_scale]\ncolour = 0.5\n"
     chosen = load(tmp_path, text)
     assert chosen.picture.floor.color == (1, 0, 0)
     assert chosen.look.opacity_scale == {"colour": 0.5}
-    (record,) = caplog.records
-    where = f"{tmp_path / 'render.toml'}:3"
-    assert record.getMessage() == f"{where}: 'colour' is the old name of picture.floor.color"
+    with pytest.raises(render_config.SettingsError) as caught:
+        load(tmp_path, text.replace("{ color", "{ colour"))
+    (line,) = caught.value.lines
+    assert line.startswith(f"{tmp_path / 'render.toml'}:3: picture.floor.colour: unknown key")
+    assert "did you mean 'color'?" in line
     with pytest.raises(
         render_config.SettingsError, match=":3: picture.floor.color: must be a color"
     ):

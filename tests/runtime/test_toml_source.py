@@ -7,7 +7,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vgmpi.runtime.config import text_bounds, toml_source
-from vgmpi.runtime.config.renames import Rename, RenameTable
 from vgmpi.runtime.config.schema import SceneError, TomlError
 from vgmpi.runtime.config.text_bounds import MAX_NESTING
 from vgmpi.runtime.config.toml_positions import locate_keys
@@ -208,59 +207,6 @@ def test_who_reads_the_file_says_what_is_raised(tmp_path):
         TomlSource(path, ["b"], text="a = 1", error=OtherError)
 
 
-OLD = """\
-[material.colour]
-x = 1
-[[object]]
-name = "colour"
-colour = [1,
- "a"]
-shape = { union = [{ colour = "red" },
-  { color = 2, colour = 3 }] }
-"""
-NAMES = RenameTable([Rename("object.**.colour", "color")])
-
-
-def test_old_names_of_keys_are_read_and_told_in_one_line(tmp_path, caplog):
-    """Tables that somebody has called so keep their names; a key that is there by both is left."""
-    path = tmp_path / "a.toml"
-    path.write_text(OLD)
-    source = TomlSource(path, renames=NAMES)
-    assert source.data["material"] == {"colour": {"x": 1}}
-    thing = source.data["object"][0]
-    assert thing["color"] == [1, "a"] and "colour" not in thing
-    assert thing["shape"]["union"] == [{"color": "red"}, {"color": 2, "colour": 3}]
-    assert source.place(("object", 0, "color", 1))[1] == f"{path}:6"
-    assert source.place(("object", 0, "shape", "union", 0, "color"))[1] == f"{path}:7"
-    assert [r.getMessage() for r in caplog.records] == [
-        f"{path}:5: 'colour' is the old name of object.colour.color (so are those at 7)"
-    ]
-    assert caplog.records[0].levelname == "WARNING"
-
-
-def test_set_knows_the_old_names(tmp_path, caplog):
-    path = tmp_path / "a.toml"
-    path.write_text(OLD.replace("colour = [", "color = ["))
-    item = "object.colour.colour=blue"
-    source = TomlSource(path, [item], renames=NAMES)
-    assert source.data["object"][0]["color"] == "blue"
-    assert source.place(("object", 0, "color"))[1] == f"--set {item}"
-    (record,) = caplog.records
-    assert record.getMessage().startswith(
-        f"{path}:7: 'colour' is the old name of object.colour.shape"
-    )
-    assert record.getMessage().endswith(f"(so are those at --set {item})")
-
-
-def test_new_names_need_no_word(tmp_path, caplog):
-    path = tmp_path / "a.toml"
-    path.write_text("[[object]]\nname = 'colour'\ncolor = 1\n")
-    assert (
-        TomlSource(path, ["object.colour.color=2"], renames=NAMES).data["object"][0]["color"] == 2
-    )
-    assert not caplog.records
-
-
 LONG = "9" * 5000
 
 
@@ -288,7 +234,7 @@ def test_numbers_and_nesting_beyond_all_measure(tmp_path, text, says):
     path = tmp_path / "a.toml"
     path.write_text(text)
     with pytest.raises(SceneError) as caught:
-        TomlSource(path, renames=NAMES)
+        TomlSource(path)
     (line,) = caught.value.lines
     assert line.startswith(f"{path}{says}") and len(line) < 300
 
@@ -365,10 +311,10 @@ def test_a_nul_in_the_name_of_a_file():
         TomlSource("a\0b.toml")
 
 
-def test_errors_hold_nothing_that_a_terminal_obeys(tmp_path, caplog):
+def test_errors_hold_nothing_that_a_terminal_obeys(tmp_path):
     path = tmp_path / "a\x1b[31m.toml"
-    path.write_text('"a b" = 1\n"c\\u001b[31m\\nd" = 2\n[[object]]\nname = "\\r"\ncolour = 1\n')
-    source = TomlSource(path, renames=NAMES)
+    path.write_text('"a b" = 1\n"c\\u001b[31m\\nd" = 2\n[[object]]\nname = "\\r"\n')
+    source = TomlSource(path)
     shown = f"{tmp_path}/a\\x1b[31m.toml"
     said = [(("c\x1b[31m\nd",), "got 'é\u202e'"), (("a b",), "is odd")]
     assert source.key(("a b", "", "c.d", 0)) == 'a b.""."c.d".0'
@@ -376,7 +322,6 @@ def test_errors_hold_nothing_that_a_terminal_obeys(tmp_path, caplog):
         f"{shown}:1: a b: is odd",
         f"{shown}:2: c\\x1b[31m\\nd: got 'é\\u202e'",
     ]
-    assert caplog.messages == [f"{shown}:5: 'colour' is the old name of object.\\r.color"]
     with pytest.raises(SceneError, match=r"^--set a\\x1b: expected key=value"):
         TomlSource(path, ["a\x1b"])
     path.write_text("\x1b")

@@ -185,23 +185,18 @@ def test_reference_is_up_to_date():
     assert "| `particles_per_cell` |" in text and "kg/m3 (g/cm3" in text
 
 
-def test_the_old_spelling_of_color_is_read_with_a_word(small, caplog):
-    """In objects, in parts of shapes, in regions of loads; wherever else it is no key."""
+def test_another_spelling_of_color_is_an_unknown_key(small):
+    """With a suggestion: in objects, in regions of loads, and by --set."""
     text = small.read_text()
-    assert text.count("color = ") == 1
-    region = 'region = { box = [[0, 0, 0], [1, 1, 1]], colour = "#000000" }'
-    old = text.replace("color = ", "colour = ")
-    old += f'[[load]]\nobject = "ball"\nforce = [0, 0, 1]\n{region}\n'
-    small.write_text(old)
-    line = old[: old.index("colour = ")].count("\n") + 1
-    ball = load(small, ["object.pool.colour=#00ff00"]).object[0]
-    assert ball.shape.color == (1.0, 128 / 255, 0.0)
-    (record,) = [r for r in caplog.records if r.levelname == "WARNING"]
-    assert record.getMessage().startswith(
-        f"{small}:{line}: 'colour' is the old name of object.ball."
-    )
-    assert record.getMessage().count(", ") == 1  # the load's and that of --set
-    with pytest.raises(SceneError, match="domain.colour: unknown key"):
-        load(small, ["domain.colour=1"])
-    with pytest.raises(SceneError, match="object.pool.color: must be a color such as"):
-        load(small, ["object.pool.colour=greenish"])
+    small.write_text(text.replace("color = ", "colour = "))
+    line = text[: text.index("color = ")].count("\n") + 1
+    with pytest.raises(SceneError) as caught:
+        load(small)
+    (said,) = caught.value.lines
+    assert said.startswith(f"{small}:{line}: object.ball.") and "colour: unknown key" in said
+    assert said.endswith("did you mean 'color'?)")
+    small.write_text(text)
+    for key, hint in (("object.pool", "(did you mean 'color'?)"), ("domain", "")):
+        with pytest.raises(SceneError, match=f"{key}.colour: unknown key") as caught:
+            load(small, [f"{key}.colour=1"])
+        assert str(caught.value).endswith(hint)

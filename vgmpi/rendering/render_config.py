@@ -17,7 +17,6 @@ from pydantic import (
 from vgmpi.rendering.raster.ground_plane import GroundPlane
 from vgmpi.rendering.raster.rasterize import ALPHA_MIN_RANGE, LOWPASS
 from vgmpi.rendering.raster.shadow_lighting import Light
-from vgmpi.runtime.config import renamed_keys
 from vgmpi.runtime.config.schema import Color, TomlError, format_validation_errors, parse_color
 from vgmpi.runtime.config.toml_source import TomlSource
 
@@ -354,7 +353,7 @@ def load(path: str | Path | None) -> Settings:
     """Load a render.toml, or return the defaults without a file. Raises SettingsError."""
     if path is None:
         return Settings()
-    source = TomlSource(path, error=SettingsError, renames=renamed_keys.RENDER)
+    source = TomlSource(path, error=SettingsError)
     try:
         chosen = Settings.model_validate(source.data)
     except ValidationError as error:
@@ -376,7 +375,7 @@ def error_lines(error: Exception, path: str | Path | None) -> list[str]:
     """
     lines = error.lines if isinstance(error, SettingsError) else [str(error)]
     try:
-        source = None if path is None else TomlSource(path, renames=renamed_keys.RENDER, quiet=True)
+        source = None if path is None else TomlSource(path)
     except TomlError:
         source = None
     return [line if source is None else source.with_place(line) for line in lines]

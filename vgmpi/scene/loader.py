@@ -10,7 +10,6 @@ from vgmpi import materials
 from vgmpi.materials import couplings
 from vgmpi.materials.couplings.interaction import CONTACT
 from vgmpi.materials.material import kinds_with_preset, unknown_material
-from vgmpi.runtime.config import renamed_keys
 from vgmpi.runtime.config.schema import SceneError, format_input, format_validation_errors
 from vgmpi.runtime.config.table_source import TableSource
 from vgmpi.runtime.config.toml_source import TomlSource
@@ -59,9 +58,9 @@ def load(
             table without file and line.
     """
     if isinstance(path, Mapping):
-        source: TomlSource = TableSource(path, overrides, renames=renamed_keys.SCENE)
+        source: TomlSource = TableSource(path, overrides)
     else:
-        source = TomlSource(path, overrides, text, renames=renamed_keys.SCENE)
+        source = TomlSource(path, overrides, text)
     return SceneLoader(source).scene(tuple(overrides))
 
 

@@ -1,12 +1,10 @@
 """Rules for restarts: keys of a scene that may change, and the changes that were made."""
 
-import copy
 from dataclasses import replace
 from typing import Any, get_args
 
 from pydantic import BaseModel
 
-from vgmpi.runtime.config import renamed_keys
 from vgmpi.runtime.config.schema import ChangeableOnResume
 
 from .scene import Scene
@@ -42,10 +40,8 @@ PARTICLE_KEYS = frozenset(
 )
 
 
-NUMERICS = "precision", "volume_correction"  # keys of accuracy whose defaults have changed
-# keys that earlier versions computed by, unnamed
-ADDED_NUMERICS = {"dilatation": "particles", "pressure": "explicit"}
-ADDED_OBJECT_KEYS: dict[str, Any] = {"rigid": False, "pinned": [], "thin": False}
+# keys of accuracy that a resumed run keeps where the scene does not name them
+NUMERICS = "precision", "volume_correction"
 
 
 def changes_without_effect(scene: Scene, differences: list[tuple[tuple, str]]) -> list[tuple]:
@@ -67,14 +63,10 @@ def changes_without_effect(scene: Scene, differences: list[tuple[tuple, str]]) -
 def with_accuracy_of_run(scene: Scene, before: dict) -> Scene:
     """Return the scene with the numerics of the run so far, unless the scene names them itself.
 
-    Defaults of `accuracy` may change between versions; a run goes on with those it began with.
-
     Args:
         scene: Scene of the restart.
         before: `Scene.to_json` of the run so far.
     """
-    before = copy.deepcopy(before)
-    renamed_keys.SCENE.apply(before)
     own, numerics = before.get("accuracy", {}), {}
     for key in NUMERICS:
         allowed = get_args(type(scene.accuracy).model_fields[key].annotation)
@@ -88,12 +80,8 @@ def forbidden_changes(scene: Scene, before: dict) -> list[tuple[tuple, str]]:
 
     Args:
         scene: Scene of the restart.
-        before: `Scene.to_json` of the run so far; old words are replaced.
+        before: `Scene.to_json` of the run so far.
     """
-    before = copy.deepcopy(before)
-    renamed_keys.SCENE.apply(before)
-    before["accuracy"] = ADDED_NUMERICS | before.get("accuracy", {})
-    before["object"] = [ADDED_OBJECT_KEYS | entry for entry in before.get("object", [])]
     now, allowed = scene.to_json(), may_change()
     differences: list[tuple[tuple, str]] = []
     for name in {**before, **now}:

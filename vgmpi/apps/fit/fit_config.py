@@ -1,6 +1,5 @@
 """Schema of fit.toml: parameters, target and method, checked before any run."""
 
-import logging
 import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -8,7 +7,6 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
 
 from vgmpi.apps.fit.video_prior.sds_config import Sds
-from vgmpi.runtime.config import renamed_keys
 from vgmpi.runtime.config.schema import (
     Quantity,
     SceneError,
@@ -17,13 +15,11 @@ from vgmpi.runtime.config.schema import (
     format_input,
     format_validation_errors,
 )
-from vgmpi.runtime.config.toml_source import TomlSource, escape_control_characters
+from vgmpi.runtime.config.toml_source import TomlSource
 from vgmpi.scene.loader import load as load_scene
 from vgmpi.scene.scene import Scene
 
-from .parameter_space import ParameterAxis, current_key, missing_table_message, value_at
-
-log = logging.getLogger("vgmpi")
+from .parameter_space import ParameterAxis, missing_table_message, value_at
 
 MIN_RUNS, MAX_PARAMETERS = 3, 20
 
@@ -207,7 +203,7 @@ class FitFile:
 
     def __init__(self, path: str | Path, scene: Scene):
         """Load and check. Raises FitFileError with a line for each error."""
-        self.source = TomlSource(path, error=FitFileError, renames=renamed_keys.FIT)
+        self.source = TomlSource(path, error=FitFileError)
         self.folder, self.scene = self.source.folder, scene
         try:
             self.settings = Settings.model_validate(self.source.data)
@@ -219,12 +215,12 @@ class FitFile:
         self.axes: list[ParameterAxis] = []
         keys: list[str] = []
         for k, parameter in enumerate(self.settings.parameter):
-            key = self._current_key(k, parameter.key)
+            key = parameter.key
             if key in keys:
                 errors.append((("parameter", k, "key"), f"is named twice; {format_input(key)}"))
                 continue
             keys.append(key)
-            axis = self._axis(k, parameter.model_copy(update={"key": key}), errors)
+            axis = self._axis(k, parameter, errors)
             if axis is not None:
                 self.axes.append(axis)
         if errors:
@@ -252,15 +248,6 @@ class FitFile:
     def line(self, k: int) -> str:
         """Return the place of the k-th parameter, such as "fit.toml:12"."""
         return self.source.place(("parameter", k))[1]
-
-    def _current_key(self, k: int, key: str) -> str:
-        """Return the key of a parameter in the present words of scenes; warn of old ones."""
-        new_key = current_key(self.scene, key)
-        if new_key != key:
-            where = self.source.place(("parameter", k, "key"))[1]
-            message = f"{where}: {key!r} is the old name of {new_key}"
-            log.warning("%s", escape_control_characters(message))
-        return new_key
 
     def _axis(self, k: int, parameter: Parameter, errors: list) -> ParameterAxis | None:
         """Convert a parameter to numbers; append its errors to `errors`."""

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from vgmpi.apps.tradeoff.parameter_sweep import Setting
-from vgmpi.runtime.config import renamed_keys
 from vgmpi.runtime.suggestions import did_you_mean
 from vgmpi.scene.scene import Scene
 
@@ -66,22 +65,6 @@ def value_at(scene: Scene, key: str) -> Any:
     for part in _parts(key):
         value = _inside(value, part)
     return value
-
-
-def current_key(scene: Scene, key: str) -> str:
-    """Return a key of --set with the present words of its parts in place of old ones."""
-    value: Any = scene.to_json()
-    old_parts = _parts(key)
-    parts: list[str] = []
-    path: tuple[str, ...] = ()  # without the items of lists
-    for part in old_parts:
-        if not isinstance(value, list):
-            table = value if isinstance(value, dict) else {}
-            part = renamed_keys.SCENE.new_key((*path, part), table)
-            path += (part,)
-        value = _inside(value, part)
-        parts.append(part)
-    return ".".join(parts) if parts != old_parts else key
 
 
 def missing_table_message(scene: Scene, key: str) -> str:

@@ -1,7 +1,6 @@
 """Target made of a table: measured, published, or from a probe of another run."""
 
 import csv
-import logging
 import math
 from pathlib import Path
 
@@ -11,15 +10,11 @@ from vgmpi.apps.tradeoff.error_measures import AXIS
 from vgmpi.io import csv_log, file_layout
 from vgmpi.io.run_reader import RunError
 from vgmpi.runtime import safe_open
-from vgmpi.runtime.config import renamed_keys
-from vgmpi.runtime.config.toml_source import escape_control_characters
 from vgmpi.runtime.suggestions import did_you_mean
 from vgmpi.solver.diagnostics.probe_sampling import files
 
 from .fit_config import FitFile, FitFileError
 from .target_base import Target, held_out
-
-log = logging.getLogger("vgmpi")
 
 
 class TableTarget(Target):
@@ -108,8 +103,7 @@ class TableTarget(Target):
         columns = self.file.settings.target.columns
         own = [c.name for c in self.columns if c.name not in ("time", "step")]
         if columns is None:
-            columns_of = {name: renamed_keys.column_name(name, head) for name in own}
-            pairs = {name: column for name, column in columns_of.items() if column in head}
+            pairs = {name: name for name in own if name in head}
             if not pairs:
                 message = f"no column of {self.path.name} is one of the probe's, {', '.join(own)}"
                 raise self.file.wrong(("target", "table"), f"{message}: give columns")
@@ -117,11 +111,8 @@ class TableTarget(Target):
         pairs = dict(columns) if isinstance(columns, dict) else {name: name for name in columns}
         if not pairs:
             raise self.file.wrong(("target", "columns"), "must name one column or more")
-        current_pairs = {}
         for k, (name, column) in enumerate(pairs.items()):
             key = name if isinstance(columns, dict) else k
-            name, column = self._current_column(name, own), renamed_keys.column_name(column, head)
-            current_pairs[name] = column
             if name not in own:
                 message = f"the probe has no column '{name}'{did_you_mean(name, own)}"
                 raise self.file.wrong(
@@ -129,16 +120,7 @@ class TableTarget(Target):
                 )
             if column not in head:
                 raise self.file.wrong(("target", "columns", key), self._no_column(column, head))
-        return current_pairs
-
-    def _current_column(self, name: str, own: list[str]) -> str:
-        """Return the present name of a column of the probe; warn of an old one."""
-        new_name = renamed_keys.column_name(name, own)
-        if new_name != name:
-            where = self.file.source.place(("target", "columns"))[1]
-            message = f"{where}: {name!r} is the old name of the column {new_name}"
-            log.warning("%s", escape_control_characters(message))
-        return new_name
+        return pairs
 
     def _numbers(self, rows: list[tuple[int, dict[str, str]]], column: str) -> np.ndarray:
         """Return a column as numbers, nan for empty cells. Raises FitFileError."""

@@ -6,7 +6,6 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import BeforeValidator, Field, ValidationError, field_validator, model_validator
 
-from vgmpi.runtime.config import renamed_keys
 from vgmpi.runtime.config.schema import (
     Quantity,
     StrictModel,
@@ -257,7 +256,7 @@ def read(path: Path) -> LoadedLayout:
     Raises:
         LayoutError: The layout is invalid; it reports all errors at once.
     """
-    source = TomlSource(path, error=LayoutError, renames=renamed_keys.LAYOUT)
+    source = TomlSource(path, error=LayoutError)
     if not source.data.get("object"):
         message = "object: no object is told: [[object]] tables with a name and a box each"
         raise LayoutError([f"{source.path}:1: {message}; --find proposes some"])
@@ -278,7 +277,7 @@ def read_empty(path: Path) -> tuple[Empty, TomlSource]:
     Raises:
         LayoutError: The layout is invalid or has objects already.
     """
-    source = TomlSource(path, error=LayoutError, renames=renamed_keys.LAYOUT)
+    source = TomlSource(path, error=LayoutError)
     if source.data.get("object"):
         message = "object: there are objects already: --find proposes them where there are none"
         raise LayoutError([f"{source.place(('object', 0))[1]}: {message}"])
@@ -299,7 +298,7 @@ def read_unfinished(path: Path) -> tuple[Empty, str, tuple[ObjectTable, ...]]:
     """
     if not path.exists():
         return Empty(), "", ()
-    source = TomlSource(path, error=LayoutError, renames=renamed_keys.LAYOUT)
+    source = TomlSource(path, error=LayoutError)
     if source.data.get("object"):
         loaded = read(path)
         return loaded.layout, source.text, loaded.layout.object

@@ -8,7 +8,6 @@ import numpy as np
 
 from vgmpi.io import csv_log, file_layout
 from vgmpi.io.run_reader import RunError, RunReader
-from vgmpi.runtime.config import renamed_keys
 
 AXIS = re.compile("_[xyz]$")  # suffix of a vector component in the name of a column
 ROUNDING = 1e-6  # [-] smaller relative changes are rounding
@@ -165,7 +164,6 @@ def curve(run: RunOutcome, column: str, times: np.ndarray, values: np.ndarray) -
         valid = ", ".join(run.probes) or "none"
         raise RunError(f"--column {column}: no probe of the scene writes it; there are: {valid}")
     table = run.probe(name)
-    key = renamed_keys.column_name(key, table)
     if key not in table:
         valid = ", ".join(k for k in table if k != "time")
         raise RunError(f"{run.folder / name}: no column '{key}'; it has {valid}")

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from .renames import NO_RENAMES, RenameTable
 from .schema import SceneError, TomlError
 from .text_bounds import MAX_NESTING, TOO_DEEP
 from .toml_source import TomlSource, truncate
@@ -25,7 +24,6 @@ class TableSource(TomlSource):
         overrides: tuple[str, ...] | list[str] = (),
         name: str = "scene",
         error: type[TomlError] = SceneError,
-        renames: RenameTable = NO_RENAMES,
     ):
         """Copy a table and apply the overrides.
 
@@ -35,10 +33,9 @@ class TableSource(TomlSource):
             name: Name that stands for the file's.
             error: Class raised if a value is nothing that a TOML file can hold, or an override
                 fails.
-            renames: Old words of keys and values, which are replaced; a warning lists them.
         """
         self.table = table
-        super().__init__(name, overrides, None, error, renames)
+        super().__init__(name, overrides, None, error)
 
     def _read(self, path: str | Path, text: str | None, error: type[TomlError]) -> None:
         """Copy the table; raise `error` for values that no scene can hold."""

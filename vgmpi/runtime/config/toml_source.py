@@ -1,7 +1,5 @@
 """TOML texts with the line of every key, and the replacements of `--set key=value`."""
 
-import json
-import logging
 import re
 import tomllib
 from pathlib import Path
@@ -9,12 +7,9 @@ from typing import Any
 
 from vgmpi.runtime.safe_open import MAX_TEXT_BYTES, read_regular_file
 
-from .renames import NO_RENAMES, RenameTable, Replacement
 from .schema import SceneError, TomlError, unit
 from .text_bounds import MAX_NESTING, TOO_DEEP, find_excess
 from .toml_positions import BARE, BASIC, LITERAL, locate_keys
-
-log = logging.getLogger("vgmpi")
 
 _LONG_NUMBER = re.compile(r"[0-9_]{4300,}")  # Python refuses longer integers
 # a value after "=" or in a list that is no number, without quotes and brackets
@@ -35,8 +30,6 @@ class TomlSource:
         overrides: tuple[str, ...] | list[str] = (),
         text: str | None = None,
         error: type[TomlError] = SceneError,
-        renames: RenameTable = NO_RENAMES,
-        quiet: bool = False,
     ):
         """Read a file and apply the overrides.
 
@@ -45,8 +38,6 @@ class TomlSource:
             overrides: Items "key=value".
             text: Content that is used instead of the file's.
             error: Class raised if the file is not readable, is no TOML or an override fails.
-            renames: Old words of keys and values, which are replaced; a warning lists them.
-            quiet: Whether old words are replaced without a warning.
         """
         self.path = Path(path)
         if "\0" in str(path):
@@ -56,16 +47,11 @@ class TomlSource:
         self.data: dict[str, Any]
         self._set: dict[tuple, str] = {}
         self._read(path, text, error)
-        self._renames = renames
-        self._replacements: list[Replacement] = []
         self._refuse_extremes(error)
-        self._replace_old_words()
         messages = [message for item in overrides if (message := self._override(item))]
         if messages:
             raise error([escape_control_characters(message) for message in messages])
         self._refuse_extremes(error)
-        if not quiet:
-            self._warn_of_old_names()
 
     def _read(self, path: str | Path, text: str | None, error: type[TomlError]) -> None:
         """Read the file, or the text in its place; set `text`, `data` and the lines."""
@@ -188,37 +174,6 @@ class TomlSource:
         if wrong:
             raise error(self.lines(wrong))
 
-    def _replace_old_words(self) -> None:
-        """Replace the old words of keys and values; their lines move along."""
-        self._replacements = self._renames.apply(self.data)
-        for change in self._replacements:
-            old, new = change.old_path, change.new_path
-            if new != old:
-                for path in [p for p in self._line if p[: len(old)] == old]:
-                    self._line[new + path[len(old) :]] = self._line.pop(path)
-
-    def _warn_of_old_names(self) -> None:
-        """Log one line per old word for the whole file."""
-        changes_of: dict[tuple, list[Replacement]] = {}
-        for change in self._replacements:
-            word = (change.old_path[-1], change.new_path[-1], str(change.old_value))
-            changes_of.setdefault(word, []).append(change)
-        for changes in changes_of.values():
-            places = sorted((*self.place(c.new_path), k) for k, c in enumerate(changes))
-            _, where, first = places[0]
-            other_places = [text.removeprefix(f"{self.path}:") for _, text, _ in places[1:]]
-            suffix = f" (so are those at {', '.join(other_places)})" if other_places else ""
-            message = f"{where}: {self._old_words(changes[first])}{suffix}"
-            log.warning("%s", escape_control_characters(message))
-
-    def _old_words(self, change: Replacement) -> str:
-        """Return a sentence that names an old word and the new one."""
-        old, key = change.old_path[-1], self.key(change.new_path)
-        if change.new_value is None:
-            return f"{old!r} is the old name of {key}"
-        new_text = _toml_value(change.new_value)
-        return f"{old} = {_toml_value(change.old_value)} is the old form of {key} = {new_text}"
-
     def _override(self, item: str) -> str:
         """Apply one "key=value"; return what is wrong with it, or ""."""
         prefix = f"--set {truncate(item)}"
@@ -232,13 +187,8 @@ class TomlSource:
             return f"{prefix}: {key.strip()}: {excess.message}"
         node: dict | list = self.data
         path: tuple = ()
-        changes: list[Replacement] = []
         for k, part in enumerate(parts):
-            old = (*path, part)
-            if isinstance(node, dict):
-                name: str | int | None = self._renames.new_key(old, node)
-            else:
-                name = _index(node, part)
+            name = part if isinstance(node, dict) else _index(node, part)
             if name is None:
                 item_names = [
                     str(x.get("name", i)) for i, x in enumerate(node) if isinstance(x, dict)
@@ -246,14 +196,8 @@ class TomlSource:
                 choices = ", ".join(item_names) or f"{len(node)} items"
                 return f"{prefix}: {'.'.join(parts[:k])} has no item '{part}'; it has {choices}"
             path += (name,)
-            value = written = _value(text) if k == len(parts) - 1 else None
-            if isinstance(node, dict):
-                value = self._renames.new_value(old, node, written)
-                changed = (written, value) if value is not written else (None, None)
-                if name != part or value is not written:
-                    changes.append(Replacement(old, path, *changed))
             if k == len(parts) - 1:
-                node[name] = value  # type: ignore[index]
+                node[name] = _value(text)  # type: ignore[index]
                 break
             if isinstance(node, dict):
                 node.setdefault(name, {})
@@ -262,7 +206,6 @@ class TomlSource:
                 return f"{prefix}: {'.'.join(parts[: k + 1])} is not a table"
         self._set = {p: text_of for p, text_of in self._set.items() if p[: len(path)] != path}
         self._set[path] = item
-        self._replacements += changes
         return ""
 
 
@@ -323,8 +266,3 @@ def _value(text: str):
     except (ValueError, RecursionError):  # a number too long to be read raises one too
         return text.strip()
     return read["value"] if list(read) == ["value"] else text.strip()
-
-
-def _toml_value(value: Any) -> str:
-    """Return a text, a number or a boolean as TOML."""
-    return str(value).lower() if isinstance(value, bool) else json.dumps(value, ensure_ascii=False)

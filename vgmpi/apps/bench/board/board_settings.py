@@ -8,7 +8,7 @@ cells, smaller or larger steps, more stiffness.
 RIVAL_PACKAGES = ("newton==1.8.0", "warp-lang==1.19.0", "torch", "genesis-world==1.4.5")
 
 STEP_120, STEP_240, STEP_480 = "dt=0.00833333333", "dt=0.00416666667", "dt=0.00208333333"
-SOFT, LONG_STEPS = "material.water.compression=0.04", "time.cfl=1.0"
+SOFT, LONG_STEPS = "material.water.max_compression=0.04", "time.cfl=1.0"
 STIFF_STEP = "step_per_cell=0.004"  # [s/m] of 5e7 Pa: a wave crosses 0.9 of a cell
 APIC = "accuracy.transfer=apic"
 IMPLICIT = "accuracy.pressure=implicit"
