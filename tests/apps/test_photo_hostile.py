@@ -231,6 +231,7 @@ def test_alpha_is_a_mask(folder, capsys):
     assert (found == disc()).all()
 
 
+@pytest.mark.slow
 def test_a_large_photograph_is_made_smaller(folder, capsys):
     """Boxes and masks stay in the pixels of its file."""
     size = (9 * WIDTH - 1, 9 * HEIGHT - 1)

@@ -22,7 +22,7 @@ SCENES = {
 }
 
 
-@pytest.fixture(scope="module", params=SCENES)
+@pytest.fixture(scope="module", params=[pytest.param("laws", marks=pytest.mark.slow), "shared"])
 def one(request, tmp_path_factory):
     return run_on_one_rank(tmp_path_factory.mktemp(request.param), SCENES[request.param])
 

@@ -81,7 +81,11 @@ def exchange(folder, stiff, accuracy):
 
 @pytest.mark.parametrize(
     "stiff, accuracy, holds",
-    [("max_speed = 1", "", True), ("", "", False), ("", 'dilatation = "cells"', True)],
+    [
+        ("max_speed = 1", "", True),
+        ("", "", False),
+        pytest.param("", 'dilatation = "cells"', True, marks=pytest.mark.slow),
+    ],
 )
 def test_both_fronts_run_as_in_experiments(tmp_path, stiff, accuracy, holds):
     lower, upper, emptiest = exchange(tmp_path, stiff, accuracy)

@@ -115,7 +115,10 @@ def after(folder, case, correction, cells=32, speed=2.5):
     return result
 
 
-@pytest.mark.parametrize("case", ["released", "shaken", "broken"])
+@pytest.mark.parametrize(
+    "case",
+    ["released", *(pytest.param(case, marks=pytest.mark.slow) for case in ("shaken", "broken"))],
+)
 def test_columns_are_packed(tmp_path, case):
     say = {"source": "columns packed at the density at rest", "note": "32 cells long"}
     for time, measures in after(tmp_path, case, "shifting").items():

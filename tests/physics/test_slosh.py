@@ -86,6 +86,7 @@ def test_a_wave_lasts(tmp_path, cells, most_off, most_lost):
     held(f"sloshing: loss with APIC, {cells} cells", apic, 0.0, most_lost, **lost, expected=False)
 
 
+@pytest.mark.slow
 def test_losses_are_per_second(tmp_path):
     """Half the step: APIC loses more, AFLIP as much to one percent of the amplitude; restored, a
     wave lasts there too."""

@@ -44,7 +44,9 @@ intersection = [
 """
 
 
-@pytest.mark.parametrize("cells, holds", [(5, False), (10, True)])
+@pytest.mark.parametrize(
+    "cells, holds", [(5, False), pytest.param(10, True, marks=pytest.mark.slow)]
+)
 def test_a_paste_spreads_as_far_as_its_yield_stress_lets_it(tmp_path, cells, holds):
     dx = 0.004 * 5 / cells
     text = SCENE.replace("CELL", str(dx))

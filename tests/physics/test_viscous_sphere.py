@@ -101,7 +101,8 @@ def sinking_speed(simulation) -> float:
     return float(-np.polyfit(t[t > 0.15], z[t > 0.15], 1)[0])
 
 
-@pytest.mark.parametrize("radius", [3, pytest.param(6, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("radius", [3, 6])
 def test_a_sphere_that_slips_sinks_as_fast_as_theory_says(tmp_path, radius):
     L = CELLS * DX
     text = SCENE.format(L=L, dx=DX, g=G, eta=VISCOSITY, m=L / 2, R=radius * DX)

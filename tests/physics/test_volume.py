@@ -121,6 +121,7 @@ def test_water_at_rest_stays(tmp_path, precision, volume):
     assert np.abs(moves).max() < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dilatation, holds", [("particles", True), ("cells", False)])
 def test_a_disturbed_pool_comes_to_rest(tmp_path, dilatation, holds):
     """Particles displaced by up to half their spacing, after 4 s."""

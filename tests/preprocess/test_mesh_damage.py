@@ -29,7 +29,7 @@ from vgmpi.preprocess.meshes.triangle_mesh import Mesh
 from vgmpi.runtime import memory_budget
 
 ROOT = Path(__file__).resolve().parents[2]
-FILES = 200  # damaged files of each format; VTK reads the last two by the same code
+FILES = 60  # damaged files of each format; VTK reads the last two by the same code
 
 # reads the files of a folder; the peak memory is the kernel's, set back before each file
 READ = """

@@ -28,6 +28,7 @@ def made(tmp_path_factory):
     return folder, done.stdout
 
 
+@pytest.mark.slow
 def test_the_table_has_all_numbers_beside_the_papers(made):
     folder, said = made
     text = (folder / "table_one.md").read_text()
@@ -56,6 +57,7 @@ def test_the_table_has_all_numbers_beside_the_papers(made):
     assert float(again[:-3]) > first + 3 and float(later[:-3]) > last  # the look is kept
 
 
+@pytest.mark.slow
 def test_what_it_counts_is_in_the_files(made):
     folder, _ = made
     text = (folder / "table_one.md").read_text()
@@ -67,6 +69,7 @@ def test_what_it_counts_is_in_the_files(made):
     assert run.gaussians.vol0.sum() == pytest.approx(kept, rel=1e-6)  # single precision
 
 
+@pytest.mark.slow
 def test_the_picture_shows_both_and_where_they_differ(made):
     from PIL import Image
 
@@ -79,6 +82,7 @@ def test_the_picture_shows_both_and_where_they_differ(made):
     assert np.abs(shown - difference).max() < 0.09  # both are rounded to bytes
 
 
+@pytest.mark.slow
 def test_the_same_run_twice_is_alike_and_none_kept_is_not(made):
     """Decibels, outline and chance on a real frame."""
     look = Appearance(RunReader(made[0] / "balls_duck" / "with"))

@@ -90,6 +90,7 @@ def ledger(folder):
         return [(row["fullest_cell"], row["filled_volume"]) for row in csv.DictReader(file)]
 
 
+@pytest.mark.slow
 def test_any_ranks_tell_the_same(tmp_path):
     path = tmp_path / "scene.toml"
     path.write_text(SCENE.replace("CORRECTION", "shifting"))
