@@ -49,6 +49,13 @@ def test_a_usual_scene_has_no_warning(tmp_path, capsys):
     assert out == f"{tmp_path / 'scene.toml'}: 0 errors, 0 warnings\n" and not err
 
 
+def test_gravity_too_small_for_a_speed_is_none(tmp_path, capsys):
+    """Its product with a length is 0 in double precision, and so is the speed of a fall."""
+    scene = SCENE.replace("[domain]", "[domain]\ngravity = [0, 5e-324, 0]")
+    out, _ = told(tmp_path, capsys, scene=scene)
+    assert "0 errors" in out
+
+
 @pytest.mark.parametrize("flag", ["--check", "--plan"])
 def test_a_stiff_solid_is_told_with_its_steps(tmp_path, capsys, flag):
     out, _ = told(tmp_path, capsys, flag, MODULUS="210 GPa")

@@ -41,7 +41,7 @@ def of(file, choice, keys=""):
 
 def hold(file, least, keys=""):
     """Not seen from 26 directions, though it is there, and would be seen if it were drawn."""
-    filled, shown, hollow = (of(file, choice, keys) for choice in ("true", '"shown"', "false"))
+    filled, shown, hollow = (of(file, choice, keys) for choice in ("true", '"visible"', "false"))
     unseen = alike(filled.cloud, hollow.cloud, DIRECTIONS).min()
     seen = alike(shown.cloud, hollow.cloud, DIRECTIONS[::5]).min()
     inside = len(filled.cloud) - filled.surface_count
@@ -89,8 +89,8 @@ def test_gaps_are_not_filled(bodies, name):
 @pytest.mark.parametrize("name", FORMS)
 def test_a_filled_body_weighs_as_the_captured_one(bodies, name):
     made, file = bodies[name]
-    found = {choice: of(file, choice).volume.sum() for choice in ("true", '"shown"', "false")}
-    assert found["true"] == found['"shown"']
+    found = {choice: of(file, choice).volume.sum() for choice in ("true", '"visible"', "false")}
+    assert found["true"] == found['"visible"']
     assert found["true"] == pytest.approx(made.volume(), rel=WEIGHT[name])
     assert abs(found["false"] / made.volume() - 1) > 0.3
 
@@ -115,7 +115,7 @@ def test_below_is_below_however_a_capture_is_turned(bodies):
 def test_what_weighs_is_said(bodies, caplog):
     file = bodies["figure"][1]
     said = {}
-    for choice in ("true", '"shown"', '"closed"', "false"):
+    for choice in ("true", '"visible"', '"closed"', "false"):
         caplog.clear()
         with caplog.at_level("INFO", "vgmpi"):
             made = build_scene(scene_of(file, choice, CELL))
@@ -126,7 +126,7 @@ def test_what_weighs_is_said(bodies, caplog):
     inside = len(filled.cloud) - filled.surface_count
     behind = f"with its inside, {inside} particles of which lie behind holes and are not drawn: "
     assert f"{inside} inside; {behind}" in said["true"]
-    assert "inside; with its inside: " in said['"shown"']
+    assert "inside; with its inside: " in said['"visible"']
     assert "0 inside; no inside found, a skin half a voxel thick: " in said['"closed"']
     assert "0 inside; hollow, a skin one voxel thick: " in said["false"]
 

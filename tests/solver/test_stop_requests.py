@@ -13,8 +13,10 @@ from vgmpi.solver.stop_requests import (
     EndedBySignalError,
     Requests,
     begin_steps,
+    hold_ending_signals,
     signals_heard,
     stop_signal_held,
+    take_ending_signals,
 )
 
 ENDING = [signal.SIGTERM, signal.SIGHUP, signal.SIGXCPU]
@@ -58,15 +60,40 @@ def test_then_it_asks_for_a_stop(number, caplog):
         requests = Requests()
         assert requests.poll(1) == (0.0, 0.0)
         signal.raise_signal(number)
-        assert requests.poll(2) == requests.poll(3) == (1.0, 0.0)
+        assert requests.poll(2) == requests.poll(3) == (number, 0.0)
+        requests.log_stop(number)
     assert caplog.messages == [f"{number.name}: stops with a checkpoint"]
+
+
+def test_a_signal_that_came_to_another_rank_first_is_told(caplog):
+    with signals_heard(), caplog.at_level("INFO", "vgmpi"):
+        requests = Requests(stop_steps=3)
+        assert requests.poll(2)[0] == 0.0 < requests.poll(3)[0] < 1.0
+        requests.log_stop(0.0)
+        requests.log_stop(requests.poll(3)[0])
+        assert not caplog.messages
+        requests.log_stop(float(signal.SIGTERM))
+        requests.log_stop(float(signal.SIGTERM))
+    assert caplog.messages == ["SIGTERM: stops with a checkpoint"]
+
+
+@pytest.mark.parametrize("number", ENDING)
+def test_a_signal_that_is_held_ends_the_run_when_it_is_taken(number):
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    try:
+        hold_ending_signals()
+        signal.raise_signal(number)
+        with signals_heard(), pytest.raises(EndedBySignalError):
+            take_ending_signals()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
 
 
 def test_usr1_is_kept_for_the_first_step():
     with signals_heard():
         signal.raise_signal(signal.SIGUSR1)
         begin_steps()
-        assert Requests().poll(1) == (1.0, 0.0)
+        assert Requests().poll(1) == (signal.SIGUSR1, 0.0)
     with signals_heard():
         assert Requests().poll(1) == (0.0, 0.0), "of the run before"
 
@@ -76,7 +103,7 @@ def test_usr1_is_held_for_a_run_that_starts():
         signal.raise_signal(signal.SIGUSR1)
         with signals_heard():
             begin_steps()
-            assert Requests().poll(1) == (1.0, 0.0)
+            assert Requests().poll(1) == (signal.SIGUSR1, 0.0)
         signal.raise_signal(signal.SIGUSR1)  # behind the last step
     assert signal.SIGUSR1 not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 

@@ -7,12 +7,18 @@ tests/conftest.py writes both beside the duration into the file of `pytest --jun
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 
 
 class CostCounter:
-    """Counter of the seconds that numba compiled in this process, and of processes started."""
+    """Counter of the seconds that numba compiled in this process, and of processes started.
 
-    def __init__(self):
+    Args:
+        clock: What tells the seconds.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.perf_counter):
+        self.clock = clock
         self.compile_seconds = 0.0
         self.processes = 0
         self._is_listening = False
@@ -30,12 +36,12 @@ class CostCounter:
 
             def on_start(self, _):
                 """Note the start."""
-                starts.append(time.perf_counter())
+                starts.append(counter.clock())
 
             def on_end(self, _):
                 """Add the time if this was the outermost."""
                 begun = starts.pop()
-                counter.compile_seconds += 0.0 if starts else time.perf_counter() - begun
+                counter.compile_seconds += 0.0 if starts else counter.clock() - begun
 
         self._is_listening = True
         event.register("numba:compile", Listener())

@@ -119,11 +119,10 @@ def liquids_expected_to_stick(scene: Scene) -> dict[str, float]:
     References:
         Schlichting (1979): Boundary-layer theory, section 7.
     """
-    strength = math.hypot(*scene.domain.gravity)
     length = FLOW_LENGTH_CELLS * scene.domain.cell
-    if strength == 0.0:
+    speed = math.sqrt(2.0 * math.hypot(*scene.domain.gravity) * length)
+    if speed == 0.0:
         return {}
-    speed = math.sqrt(2.0 * strength * length)
     thick = {}
     for name, material in scene.material.items():
         eta = dynamic_viscosity(material)

@@ -38,8 +38,12 @@ EDGE_CELLS = 4.0  # [cells] way through free space within which an edge has both
 BALL_CELLS = np.array([0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0])  # [cells] radii
 BALL_TOLERANCE = 1e-3  # [-] of a radius
 CLOSEST_FACES = 16  # balls among which the closest one is sought
+CHUNK = 4096  # points whose distances are computed at a time, in the cache
 BEHIND_CELLS = 2.5  # [cells] distance from the wall up to which the other side's distance is exact
 OUTSIDE_CELLS = 8.0  # [cells] outside the domain, up to which the sides of a wall are known
+# [cells] distance from a wall up to which points need normals: those from which points that have a
+# side are reached, and the corners around them
+NORMAL_CELLS = WALL_BAND_CELLS + EDGE_CELLS + 2.0
 RESET_CELLS = 2.0  # [cells] distance from an edge within which particles may change sides
 _AXES = tuple(np.eye(3, dtype=np.int64))
 
@@ -81,7 +85,9 @@ def thin_shell(
     places = map(np.arange, first, first + shape)
     grid = start + h * np.stack(np.meshgrid(*places, indexing="ij"), -1)
     phi = _distances(collider, grid)
-    normal = _normals(collider, grid.reshape(-1, 3), 0.02 * dx).reshape(grid.shape)
+    within = (phi > 0.0) & (phi <= NORMAL_CELLS * dx)
+    normal = np.zeros(grid.shape)
+    normal[within] = _normals(collider, grid[within], 0.02 * dx)
     faces = _faces(collider, grid, phi, normal, dx)
     if not len(faces.place):
         return None
@@ -111,7 +117,8 @@ def _distance_from_side(
         phi: Their distances from the wall [m].
         dx: Cell size [m].
     """
-    out = np.where(label == s, phi, -(phi + MAX_THICKNESS_CELLS * dx))
+    is_inner = phi < -MAX_THICKNESS_CELLS * dx  # within what is no thin wall
+    out = np.where((label == s) | is_inner, phi, -(phi + MAX_THICKNESS_CELLS * dx))
     foot, normal = faces.foot[side == s], faces.normal[side == s]
     if not len(foot):  # this side is too far outside the domain
         return out
@@ -120,13 +127,16 @@ def _distance_from_side(
         touches = collider.distance(foot + rho * normal) >= (1.0 - BALL_TOLERANCE) * rho
         radius = np.where(touches, rho, radius)
     tree = scipy.spatial.cKDTree(foot)
-    covered = np.argwhere((label != s) & (phi < BEHIND_CELLS * dx))
+    covered = np.argwhere((label != s) & (phi < BEHIND_CELLS * dx) & ~is_inner)
     x = grid[tuple(covered.T)]
-    number = np.minimum(tree.query(x, k=CLOSEST_FACES)[1], len(foot) - 1)
     center = foot + radius[:, None] * normal
-    away = np.sqrt(((x[:, None] - center[number]) ** 2).sum(-1)) - radius[number]
+    closest = np.empty(len(x))
+    for start in range(0, len(x), CHUNK):
+        part = x[start : start + CHUNK]
+        number = np.minimum(tree.query(part, k=CLOSEST_FACES)[1], len(foot) - 1)
+        away = np.sqrt(((part[:, None] - center[number]) ** 2).sum(-1)) - radius[number]
+        closest[start : start + CHUNK] = away.min(1)
     free = (label[tuple(covered.T)] == 0) & (phi[tuple(covered.T)] > 0.0)  # beyond an edge
-    closest = away.min(1)
     out[tuple(covered.T)] = -np.where(free, closest, np.maximum(closest, 0.0))
     return out
 

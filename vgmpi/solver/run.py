@@ -211,6 +211,7 @@ class Runner:
         stop, due = simulation.advance(
             dt, self.requests.poll(steps_done), target if lands else None
         )
+        self.requests.log_stop(stop)
         self.is_at_frame = lands and target == frame
         if self.is_at_frame:
             self._write_frame()

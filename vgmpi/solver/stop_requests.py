@@ -13,6 +13,7 @@ log = logging.getLogger("vgmpi")
 
 # They stop a run with a checkpoint once it steps, and end it at once before: nothing is lost yet.
 ENDING = (signal.SIGTERM, signal.SIGHUP, signal.SIGXCPU)
+AT_LIMIT = 0.5  # of a stop that no signal asks for; signals are counted from 1
 GRACE_SECONDS = 2.0  # [s] from a signal to a forced end where compiled code does not return
 
 _heard: list[str] = []  # names of the signals received so far
@@ -73,6 +74,16 @@ def signals_heard() -> Iterator[None]:
             signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
             for number, handler in before.items():
                 signal.signal(number, signal.SIG_DFL if handler is None else handler)
+
+
+def hold_ending_signals() -> None:
+    """Hold the signals that end a run back until `take_ending_signals`: somebody must answer."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
+
+
+def take_ending_signals() -> None:
+    """Take the signals that were held back. Raises EndedBySignalError for one that has come."""
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
 
 
 def begin_steps() -> None:
@@ -188,19 +199,37 @@ class Requests:
         self.checkpoint_seconds = checkpoint_seconds
 
     def poll(self, steps: int) -> tuple[float, float]:
-        """Return (stop, checkpoint) as this rank sees it after `steps` steps of this run."""
+        """Return (stop, checkpoint) as this rank sees it after `steps` steps of this run.
+
+        stop: The number of the signal that asks for it, AT_LIMIT at a limit, or 0.
+        """
         now = time.monotonic()
-        stop = bool(_heard)
-        for name in [name for name in _heard if name not in self.logged]:
-            self.logged.add(name)
-            if name == signal.SIGINT.name:
-                log.info("interrupted: stops with a checkpoint; Ctrl-C again ends at once")
-            else:
-                log.info("%s: stops with a checkpoint", name)
-        stop |= 0 < self.stop_steps <= steps
-        stop |= 0 < self.stop_seconds <= now - self.started
+        is_at_limit = 0 < self.stop_steps <= steps
+        is_at_limit |= 0 < self.stop_seconds <= now - self.started
+        stop = max([AT_LIMIT * is_at_limit, *(float(signal.Signals[name]) for name in _heard)])
+        for name in list(_heard):
+            self._log_signal(name)
         due = 0 < self.checkpoint_seconds <= now - self.last_checkpoint
-        return float(stop), float(due)
+        return stop, float(due)
+
+    def log_stop(self, stop: float) -> None:
+        """Log the signal that stops the run, which may have come to another rank first.
+
+        Args:
+            stop: Maximum over all ranks of what `poll` returned.
+        """
+        if stop > AT_LIMIT:
+            self._log_signal(signal.Signals(int(stop)).name)
+
+    def _log_signal(self, name: str) -> None:
+        """Log what a signal does, once."""
+        if name in self.logged:
+            return
+        self.logged.add(name)
+        if name == signal.SIGINT.name:
+            log.info("interrupted: stops with a checkpoint; Ctrl-C again ends at once")
+        else:
+            log.info("%s: stops with a checkpoint", name)
 
     def note_checkpoint(self) -> None:
         """Restart the clock of checkpoints."""

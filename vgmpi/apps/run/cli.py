@@ -16,7 +16,11 @@ from vgmpi.runtime.compile_lock import ON_EVERY_RANK
 from vgmpi.runtime.config.schema import SceneError
 from vgmpi.scene.loader import load
 from vgmpi.scene.scene import Scene
-from vgmpi.solver.stop_requests import EndedBySignalError, signals_heard
+from vgmpi.solver.stop_requests import (
+    EndedBySignalError,
+    signals_heard,
+    take_ending_signals,
+)
 
 from .flags import parse_arguments
 
@@ -35,6 +39,8 @@ def main(argv: list[str] | None = None) -> int:
     with signals_heard():
         try:
             ranks = init_communicator()
+            log_to_stderr(args, first=ranks.rank == 0)
+            take_ending_signals()
             return _reported(args, ranks)
         except EndedBySignalError as end:
             log.error("%s", end.line)

@@ -25,6 +25,7 @@ from typing import Any
 from vgmpi.parallel.communicator import joined_ranks
 from vgmpi.parallel.launch import OPEN_MPI, SUPERVISOR_VARIABLE
 from vgmpi.runtime.death_signal import die_with_parent
+from vgmpi.solver.stop_requests import hold_ending_signals
 
 log = logging.getLogger("vgmpi")
 
@@ -281,6 +282,7 @@ def run_as_rank(name: str, main: Callable[[list[str]], int], words: list[str]) -
         main: Main function of the command.
         words: Words of the command line.
     """
+    hold_ending_signals()  # the supervisor sends them from now on, and leaves the line to a rank
     with socket.socket(socket.AF_UNIX) as supervisor:
         supervisor.connect(f"\0{name}")
         count, descriptors, _, _ = socket.recv_fds(supervisor, 16, 2)
