@@ -49,8 +49,10 @@ def test_going_on_from_an_older_one_gives_up_the_newer(folder):
 def test_clear(folder):
     checkpoint.clear(folder, SerialCommunicator())
     assert list(folder.iterdir()) == []
-    assert checkpoint.latest_valid(folder) is None
-    assert checkpoint.latest_valid(folder / "nowhere") is None
+    for empty in (folder, folder / "nowhere"):
+        with pytest.raises(checkpoint.CheckpointError) as none:
+            checkpoint.latest_valid(empty)
+        assert str(none.value) == f"--resume: no valid checkpoint in {empty}"
     checkpoint.clear(folder / "nowhere", SerialCommunicator())
 
 
@@ -95,10 +97,12 @@ def test_a_broken_one_is_passed_over_in_words(folder, caplog, text):
 def test_when_none_is_left(folder, caplog):
     for path in folder.glob("*.h5"):
         cut(path)
-    assert run(2, lambda ranks: checkpoint.latest_valid(folder, ranks)) == [None, None]
-    (record,) = caplog.records
-    assert "no valid checkpoint is left" in record.getMessage()
-    assert "NOT VALID" not in record.getMessage()
+    with pytest.raises(checkpoint.CheckpointError) as none:
+        run(2, lambda ranks: checkpoint.latest_valid(folder, ranks))
+    assert not caplog.records
+    text = str(none.value)
+    assert text.startswith(f"--resume: no valid checkpoint in {folder}: checkpoint_000000030.h5 (")
+    assert "; checkpoint_000000020.h5 (" in text and "NOT VALID" not in text
 
 
 def test_names_outside_the_layout_are_refused(tmp_path):

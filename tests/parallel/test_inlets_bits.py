@@ -6,7 +6,12 @@ import csv
 import h5py
 import pytest
 
-from tests.support.file_digests import assert_same_files, digests, run_on_one_rank
+from tests.support.file_digests import (
+    RANKS_AND_THREADS,
+    assert_same_files,
+    digests,
+    run_on_one_rank,
+)
 from tests.support.launch import go
 from tests.support.small_scenes import MIXED, write
 
@@ -101,13 +106,10 @@ def test_something_comes_and_goes(one):
         assert abs(left) < 1e-14 * float(row["mass_in"])
 
 
-@pytest.mark.parametrize(
-    "n, threads",
-    [*(pytest.param(*way, marks=pytest.mark.slow) for way in ((2, 1), (4, 1), (1, 2))), (2, 2)],
-)
-def test_ranks_and_threads(one, n, threads, tmp_path):
+@RANKS_AND_THREADS
+def test_ranks_and_threads(one, ranks, flags, tmp_path):
     scene, want, _ = one
-    assert_same_files(scene, want, tmp_path, n, "--threads", threads)
+    assert_same_files(scene, want, tmp_path, ranks, *flags)
 
 
 def test_stop_and_resume(one, tmp_path):

@@ -171,34 +171,24 @@ def clear(folder: str | Path, ranks: SerialCommunicator) -> None:
     hdf5_writer.raise_on_all_ranks(ranks, error, folder, "clear")
 
 
-def latest_valid(folder: str | Path, ranks: SerialCommunicator | None = None) -> Path | None:
-    """Return the newest valid checkpoint, or None. Collective.
+def latest_valid(folder: str | Path, ranks: SerialCommunicator | None = None) -> Path:
+    """Return the newest valid checkpoint. Collective.
 
-    It logs a one-line warning on newer ones that are not valid.
+    It logs a one-line warning on newer ones that are not valid. Raises CheckpointError on all ranks
+    if none is.
     """
     ranks = ranks or SerialCommunicator()
-    path, passed = _find_valid(Path(folder), ranks)
-    _warn_of_passed(path, passed, ranks)
-    return path
-
-
-def _warn_of_passed(path, passed, ranks):
-    """Log a line on rank 0 about newer checkpoints that are not valid."""
-    if passed and ranks.rank == 0:
-        taken = f"resuming from {path.name}" if path else "no valid checkpoint is left"
-        log.warning("passed over %s: %s", passed, taken)
-
-
-def _find_valid(folder, ranks):
-    """Return the newest valid checkpoint or None, and a text on those that were passed over."""
-    passed = []
-    for step in ranks.bcast(sorted(_steps_in(folder), reverse=True)):
-        path = folder / file_layout.CHECKPOINT_NAME.format(step)
+    invalid: list[str] = []
+    for step in ranks.bcast(sorted(_steps_in(Path(folder)), reverse=True)):
+        path = Path(folder) / file_layout.CHECKPOINT_NAME.format(step)
         problem = _problem(path, ranks)
         if problem is None:
-            return path, "; ".join(passed)
-        passed.append(f"{path.name} ({problem})")
-    return None, "; ".join(passed)
+            if invalid and ranks.rank == 0:
+                log.warning("passed over %s: resuming from %s", "; ".join(invalid), path.name)
+            return path
+        invalid.append(f"{path.name} ({problem})")
+    reason = f": {'; '.join(invalid)}" if invalid else ""
+    raise CheckpointError(f"--resume: no valid checkpoint in {folder}{reason}")
 
 
 def select(requested: str, folder: Path, ranks: SerialCommunicator) -> Path:
@@ -209,12 +199,7 @@ def select(requested: str, folder: Path, ranks: SerialCommunicator) -> Path:
     if requested:
         verify(requested, ranks)
         return Path(requested)
-    newest, passed = _find_valid(folder, ranks)
-    if newest is None:
-        reason = f": {passed}" if passed else ""
-        raise CheckpointError(f"--resume: no valid checkpoint in {folder}{reason}")
-    _warn_of_passed(newest, passed, ranks)
-    return newest
+    return latest_valid(folder, ranks)
 
 
 def verify(path: str | Path, ranks: SerialCommunicator | None = None) -> None:

@@ -44,7 +44,8 @@ def check_structure(file: h5py.File, series: bool = False) -> None:
         series: Allow datasets that refer to the frames beside the file.
 
     Raises:
-        Damaged: The structure is not one that the program writes; the text names the dataset.
+        CorruptFileError: The structure is not one that the program writes; the text names the
+            dataset.
     """
     size, left = file.id.get_filesize(), [("", file, 0)]
     item_count = 0

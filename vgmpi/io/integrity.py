@@ -46,7 +46,7 @@ def verify_checksums(f: h5py.File, read_data: dict) -> None:
         read_data: Datasets as they were read, by name.
 
     Raises:
-        Damaged: A dataset is not what was written, or one that was written is missing.
+        CorruptFileError: A dataset is not what was written, or one that was written is missing.
     """
     want = read_checksums(f)
     missing = [name for name in want if name not in f]
@@ -82,7 +82,8 @@ def check_frame(
         particles: Identity of the gaussians.h5 beside it, None if unknown.
 
     Raises:
-        Damaged: The data are damaged, or the file is another frame's or one of other particles.
+        CorruptFileError: The data are damaged, or the file is of another frame or of other
+            particles.
     """
     _check_head(f, {"VTKHDF", *(d.name for d in file_layout.FRAME_OWN)})
     own = {d.name: f[d.name][()] for d in file_layout.FRAME_OWN if d.name in f}
@@ -95,7 +96,7 @@ def check_frame(
 
 
 def series_frames(f: h5py.File) -> list[int]:
-    """Return the numbers of the frames that series.vtkhdf refers to. Raises Damaged."""
+    """Return the numbers of the frames that series.vtkhdf refers to. Raises CorruptFileError."""
     _check_head(f, {"VTKHDF", *(d.name for d in file_layout.SERIES_OWN)})
     numbers = f["frames"][()]
     verify_checksums(f, {"frames": numbers})
@@ -103,7 +104,7 @@ def series_frames(f: h5py.File) -> list[int]:
 
 
 def check_series(f: h5py.File) -> None:
-    """Check that series.vtkhdf refers to the right rows of each frame. Raises Damaged."""
+    """Check that series.vtkhdf refers to the right rows of each frame. Raises CorruptFileError."""
     series_frames(f)
     names = hdf5_validation.datasets(f)
     virtual = [name for name in names if f[name].is_virtual]
@@ -127,7 +128,7 @@ def check_series(f: h5py.File) -> None:
 
 
 def check_arrays(arrays: dict[str, np.ndarray], count: int) -> None:
-    """Check the arrays of a frame of `count` particles. Raises Damaged."""
+    """Check the arrays of a frame of `count` particles. Raises CorruptFileError."""
     for name, rows in arrays.items():
         form = FRAME_FORMS.get(name)
         if form is None:
@@ -144,7 +145,7 @@ def check_arrays(arrays: dict[str, np.ndarray], count: int) -> None:
 
 
 def checked_poses(rows: np.ndarray) -> np.ndarray:
-    """Return the poses of a frame after a check. Raises Damaged."""
+    """Return the poses of a frame after a check. Raises CorruptFileError."""
     form = file_layout.named(file_layout.FRAME_OWN)["poses"]
     if not file_layout.fits(form, rows) or not np.isfinite(rows).all():
         raise CorruptFileError(
@@ -161,7 +162,7 @@ def check_gaussians(f: h5py.File, read_data: dict) -> None:
         read_data: Arrays and texts by their names in the file.
 
     Raises:
-        Damaged: They are not what was written, or have impossible values.
+        CorruptFileError: They are not what was written, or have impossible values.
     """
     texts = {d.name for d in file_layout.GAUSSIAN_TEXTS}
     _check_head(f, {name.partition("/")[0] for name in GAUSSIAN_FORMS} | texts)
@@ -184,7 +185,7 @@ def check_gaussians(f: h5py.File, read_data: dict) -> None:
 
 
 def check_objects(gaussians: SimpleNamespace) -> None:
-    """Check the objects of gaussians.h5 and all references to them. Raises Damaged."""
+    """Check the objects of gaussians.h5 and all references to them. Raises CorruptFileError."""
     objects = gaussians.objects
     if not isinstance(objects, list) or not all(isinstance(entry, dict) for entry in objects):
         raise CorruptFileError("objects is no list of objects")

@@ -39,8 +39,6 @@ def main(argv: list[str] | None = None) -> int:
     with signals_heard():
         try:
             ranks = init_communicator()
-            log_to_stderr(args, first=ranks.rank == 0)
-            take_ending_signals()
             return _reported(args, ranks)
         except EndedBySignalError as end:
             log.error("%s", end.line)
@@ -58,6 +56,7 @@ def is_run(args: argparse.Namespace) -> bool:
 def _reported(args: argparse.Namespace, ranks: SerialCommunicator) -> int:
     """Run the command and print errors of its input; return the exit code."""
     log_to_stderr(args, first=ranks.rank == 0)
+    take_ending_signals()
     try:
         return _command(args, ranks)
     except SceneError as error:
