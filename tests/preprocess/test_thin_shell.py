@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from vgmpi.preprocess import thin_shell as module
 from vgmpi.preprocess.thin_shell import thin_shell
 
 DX = 0.01
@@ -46,3 +47,32 @@ def test_a_plate_whose_other_face_is_far_outside_the_domain_has_one_side():
     shell = thin_shell(Plate((-40, -40, -8.3), (50, 50, -7.5)), DX, DOMAIN)
     above = shell.front[:, :, -1], shell.back[:, :, -1]
     assert (above[0] > 0).all() != (above[1] > 0).all()
+
+
+class PlateOnBlock(Plate):
+    """A thin plate that stands on the end of a long thick block."""
+
+    def __init__(self):
+        self.block, self.plate = Plate((0, 0, 0), (80, 12, 8)), Plate((4, 0, 4), (5, 12, 20))
+        self.low, self.high = self.block.low, np.array([80, 12, 20]) * DX
+
+    def distance(self, points):
+        return np.minimum(self.block.distance(points), self.plate.distance(points))
+
+
+def test_only_the_thin_part_of_a_long_body_has_a_lattice(monkeypatch):
+    part = thin_shell(PlateOnBlock(), DX)
+    monkeypatch.setattr(module, "REACH_CELLS", 1e4)
+    whole = thin_shell(PlateOnBlock(), DX)
+    assert whole.front.shape[0] == 2 * (80 + 2 * 5) + 1
+    assert part.front.shape[0] < whole.front.shape[0] / 2
+    first = np.rint((part.start - whole.start) / (DX / 2)).astype(int)
+    same = tuple(slice(a, a + n) for a, n in zip(first, part.front.shape, strict=True))
+    is_free = np.maximum(whole.front, whole.back) > 0.0
+    sided = is_free & ((whole.kinds == module.SIDED) | (whole.kinds == module.NEAR_EDGE))
+    assert sided[same].sum() == sided.sum() > 0
+    has_kind = whole.kinds[same] > 0
+    assert (part.kinds[:-4] == whole.kinds[same][:-4]).all()
+    for name in ("front", "back"):
+        a, b = getattr(part, name), getattr(whole, name)[same]
+        assert np.array_equal(a[has_kind], b[has_kind]), name

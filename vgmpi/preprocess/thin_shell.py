@@ -44,6 +44,9 @@ OUTSIDE_CELLS = 8.0  # [cells] outside the domain, up to which the sides of a wa
 # [cells] distance from a wall up to which points need normals: those from which points that have a
 # side are reached, and the corners around them
 NORMAL_CELLS = WALL_BAND_CELLS + EDGE_CELLS + 2.0
+# [cells] distance from the thin parts of a wall up to which its points are kept: those that have a
+# side are closer, and a particle that leaves them along a thick part finds points without one
+REACH_CELLS = NORMAL_CELLS + EDGE_CELLS + 3.0
 RESET_CELLS = 2.0  # [cells] distance from an edge within which particles may change sides
 _AXES = tuple(np.eye(3, dtype=np.int64))
 
@@ -85,12 +88,15 @@ def thin_shell(
     places = map(np.arange, first, first + shape)
     grid = start + h * np.stack(np.meshgrid(*places, indexing="ij"), -1)
     phi = _distances(collider, grid)
+    faces = _faces(collider, grid, phi, dx)
+    if not len(faces.place):
+        return None
+    around, corner = _crop_around(faces, phi.shape)
+    grid, phi, first = grid[around], phi[around], first + corner
+    faces = faces._replace(place=faces.place - corner, opposite=faces.opposite - corner)
     within = (phi > 0.0) & (phi <= NORMAL_CELLS * dx)
     normal = np.zeros(grid.shape)
     normal[within] = _normals(collider, grid[within], 0.02 * dx)
-    faces = _faces(collider, grid, phi, normal, dx)
-    if not len(faces.place):
-        return None
     side = _sides(faces, phi.shape)
     label = _spread_sides(faces, side, phi, normal, h)
     front, back = (
@@ -162,10 +168,19 @@ def _normals(collider, points: np.ndarray, step: float) -> np.ndarray:
     return out / np.maximum(np.sqrt((out**2).sum(axis=1)), 1e-300)[:, None]
 
 
-def _faces(collider, grid, phi: np.ndarray, normal: np.ndarray, dx: float) -> _Faces:
+def _crop_around(faces: _Faces, shape: tuple) -> tuple[tuple[slice, ...], np.ndarray]:
+    """Return the part of a lattice of `shape` that has sides, and its first place, shape (3,)."""
+    reach = int(np.ceil(REACH_CELLS / SDF_SPACING_CELLS))
+    first = np.maximum(faces.place.min(0) - reach, 0)
+    last = np.minimum(faces.place.max(0) + reach + 1, shape)
+    return tuple(map(slice, first, last)), first
+
+
+def _faces(collider, grid, phi: np.ndarray, dx: float) -> _Faces:
     """Return the lattice points next to faces of a wall, with what is opposite."""
     index = np.argwhere((phi > 0.0) & (phi <= FACE_CELLS * dx))
-    n, x = normal[tuple(index.T)], grid[tuple(index.T)]
+    x = grid[tuple(index.T)]
+    n = _normals(collider, x, 0.02 * dx)
     foot = x - phi[tuple(index.T)][:, None] * n
     before, leave = np.zeros(len(index)), np.full(len(index), np.inf)
     inside = np.zeros(len(index), bool)
