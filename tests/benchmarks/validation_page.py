@@ -139,19 +139,19 @@ def tolerance_used(row: Row) -> float:
 
 
 def passing_cells(rows: list[Row]) -> list[str]:
-    """Return the passing rows of a test file as one line: the one closest to its tolerance."""
+    """Return passing rows as one line: the one closest to its tolerance."""
     name, *rest = cells(max(rows, key=tolerance_used))
     return [f"{name} (closest of {len(rows)})" if len(rows) > 1 else name, *rest]
 
 
 def lines(rows: list[Row]) -> list[list[str]]:
-    """Return the lines of a table: one for the passing rows of a test file, each other row.
+    """Return the lines of a table: one for all passing rows, each other row.
 
     Negative controls are left out: they miss their tolerance on purpose.
     """
     groups = defaultdict(list)
     for row in (row for row in rows if row.outcome != CONTROL):
-        groups[row.test.split("::")[0] if row.outcome == PASS else row.case].append(row)
+        groups[PASS if row.outcome == PASS else row.case].append(row)
     return [
         passing_cells(members) if members[0].outcome == PASS else cells(members[0])
         for members in groups.values()

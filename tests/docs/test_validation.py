@@ -77,7 +77,7 @@ def test_table(rows):
     assert "![slip](../pictures/slip.png)" in text
 
 
-def test_passing_rows_of_a_file_become_the_line_closest_to_its_tolerance(rows):
+def test_passing_rows_of_a_topic_become_the_line_closest_to_its_tolerance(rows):
     alike = [replace(rows[0], case=f"slip at {k} cells", error=k / 1e3) for k in (1, 4, 2)]
     shown = pages.lines([*alike, rows[2]])
     assert [cells[0] for cells in shown] == ["slip at 4 cells (closest of 3)", "slip, coarse"]
