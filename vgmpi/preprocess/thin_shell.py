@@ -91,8 +91,8 @@ def thin_shell(
     faces = _faces(collider, grid, phi, dx)
     if not len(faces.place):
         return None
-    around, corner = _crop_around(faces, phi.shape)
-    grid, phi, first = grid[around], phi[around], first + corner
+    region, corner = _crop_around(faces, phi.shape)
+    grid, phi, first = grid[region], phi[region], first + corner
     faces = faces._replace(place=faces.place - corner, opposite=faces.opposite - corner)
     within = (phi > 0.0) & (phi <= NORMAL_CELLS * dx)
     normal = np.zeros(grid.shape)
