@@ -26,8 +26,8 @@ from vgmpi.rendering import image_io, render_config
 from vgmpi.rendering.appearance import Appearance
 from vgmpi.rendering.export_model import file_render_model
 from vgmpi.rendering.particle_surface import SMOOTHING_STEPS
-from vgmpi.runtime.argument_parser import ArgumentParser
-from vgmpi.runtime.exit_handler import (
+from vgmpi.runtime.command_line import (
+    ArgumentParser,
     exit_code_from_exceptions,
     report_file_error,
     usage_error_code,

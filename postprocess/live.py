@@ -19,10 +19,9 @@ from pathlib import Path
 from vgmpi.io.run_reader import RunError
 from vgmpi.rendering import render_config
 from vgmpi.rendering.render_config import SettingsError
-from vgmpi.runtime import safe_open
-from vgmpi.runtime.argument_parser import ArgumentParser
-from vgmpi.runtime.exit_handler import exit_code_from_exceptions
-from vgmpi.runtime.suggestions import did_you_mean_file
+from vgmpi.runtime import user_files
+from vgmpi.runtime.command_line import ArgumentParser, exit_code_from_exceptions
+from vgmpi.runtime.message_text import did_you_mean_file
 
 log = logging.getLogger("vgmpi")
 
@@ -101,7 +100,7 @@ def choose_token(args: argparse.Namespace) -> str | None:
 def read_token(path: Path) -> str:
     """Return the word in a file that only its owner may read. Raises RunError."""
     try:
-        word = safe_open.read_regular_file(path, MAX_TOKEN).decode("ascii").strip()
+        word = user_files.read_regular_file(path, MAX_TOKEN).decode("ascii").strip()
         mode = path.stat().st_mode
     except UnicodeDecodeError:
         word, mode = "", 0

@@ -25,10 +25,9 @@ from vgmpi.rendering.frame_progress import FrameProgress
 from vgmpi.rendering.frame_ranks import OtherRankError, render_on_ranks, run_on_all_ranks
 from vgmpi.rendering.frame_renderer import FrameRenderer, RenderedView
 from vgmpi.rendering.prepared_run import PreparedRun, open_run
-from vgmpi.runtime.argument_parser import ArgumentParser
-from vgmpi.runtime.compile_notice import announce_compiling
-from vgmpi.runtime.exit_handler import exit_code_from_exceptions, usage_error_code
-from vgmpi.runtime.processor_cores import available_cores
+from vgmpi.runtime.command_line import ArgumentParser, exit_code_from_exceptions, usage_error_code
+from vgmpi.runtime.compiled_kernels import announce_compiling
+from vgmpi.runtime.process_limits import available_cores
 
 log = logging.getLogger("vgmpi")
 

@@ -22,8 +22,7 @@ from vgmpi.rendering.frame_renderer import domain_box, visible_extent
 from vgmpi.rendering.gaussian_selection import GaussianSelection
 from vgmpi.rendering.render_config import CameraSettings, PictureSettings, SettingsError
 from vgmpi.rendering.viewer_scene import show_domain, viewer_camera
-from vgmpi.runtime.argument_parser import ArgumentParser
-from vgmpi.runtime.exit_handler import exit_code_from_exceptions, usage_error_code
+from vgmpi.runtime.command_line import ArgumentParser, exit_code_from_exceptions, usage_error_code
 
 log = logging.getLogger("vgmpi")
 

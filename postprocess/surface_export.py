@@ -16,7 +16,7 @@ from vgmpi.io import mesh_files
 from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.rendering.appearance import Appearance
 from vgmpi.rendering.particle_surface import SurfaceMesh, reconstruct_surface
-from vgmpi.runtime.suggestions import did_you_mean
+from vgmpi.runtime.message_text import did_you_mean
 
 log = logging.getLogger("vgmpi")
 

@@ -15,8 +15,7 @@ from vgmpi.gaussians.camera import fit_orbit_to_box, orbit_eye
 from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.rendering import image_io
 from vgmpi.rendering.field_values import scalars, title
-from vgmpi.runtime.argument_parser import ArgumentParser
-from vgmpi.runtime.exit_handler import exit_code_from_exceptions, usage_error_code
+from vgmpi.runtime.command_line import ArgumentParser, exit_code_from_exceptions, usage_error_code
 
 FOV = 30.0  # [degrees] vertical field of view
 ANGLE = 25.0  # [degrees] around z, equal to that of the renderer

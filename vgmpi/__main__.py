@@ -2,7 +2,7 @@
 
 import sys
 
-from vgmpi.runtime.exit_handler import exit_code_from_exceptions
+from vgmpi.runtime.command_line import exit_code_from_exceptions
 
 
 @exit_code_from_exceptions

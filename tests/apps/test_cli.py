@@ -13,7 +13,7 @@ from vgmpi.apps.run import cli, flags
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import registry
 from vgmpi.kernels.nodal_fields import momentum
-from vgmpi.runtime import memory_budget
+from vgmpi.runtime import process_limits
 from vgmpi.solver.simulation import BlowUp
 
 
@@ -138,7 +138,7 @@ def test_a_law_beyond_single_precision(scene, capsys, flag):
 
 def test_too_little_memory_is_refused(scene, capsys, monkeypatch):
     monkeypatch.setattr(
-        memory_budget, "available_memory", lambda swap=False: 1 << (30 if swap else 20)
+        process_limits, "available_memory", lambda swap=False: 1 << (30 if swap else 20)
     )
     assert cli.main([str(scene), "--plan"]) == 2
     assert "90 %" in capsys.readouterr().err

@@ -16,7 +16,7 @@ from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.planning.cost.plan_report import format_plan
 from vgmpi.planning.cost.throughput import Throughput
 from vgmpi.preprocess.shape_sdf import support
-from vgmpi.runtime.processor_cores import available_cores
+from vgmpi.runtime.process_limits import available_cores
 from vgmpi.scene.loader import SceneError, load
 from vgmpi.scene.shapes import Shape
 from vgmpi.solver.initial_particles import plan_for, prepare

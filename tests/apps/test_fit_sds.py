@@ -301,7 +301,7 @@ def test_memory_is_named_before_it_loads(models, monkeypatch):
     assert not target.loaded
     weights = sum(p.numel() for p in pipeline(models, "edm").unet.parameters())
     assert target.kind.denoises.numbers == weights
-    monkeypatch.setattr("vgmpi.runtime.memory_budget.available_memory", lambda swap=False: 1 << 20)
+    monkeypatch.setattr("vgmpi.runtime.process_limits.available_memory", lambda swap=False: 1 << 20)
     with pytest.raises(FitFileError, match=r"sds.model: UNetSpatio.* 1 MiB|0.000977 GiB are free"):
         taste(models, "edm")
 

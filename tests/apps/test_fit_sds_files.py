@@ -274,7 +274,7 @@ def test_missing_packages_are_named(beside, capsys, monkeypatch):
 def test_what_does_not_fit_into_the_memory_is_refused(beside, capsys, monkeypatch):
     monkeypatch.setattr(denoising_target, "PACKAGES", ())
     monkeypatch.setattr(denoising_target, "_has_gpu", lambda: False)
-    monkeypatch.setattr("vgmpi.runtime.memory_budget.available_memory", lambda swap=False: 1 << 10)
+    monkeypatch.setattr("vgmpi.runtime.process_limits.available_memory", lambda swap=False: 1 << 10)
     scene, file = made(beside, BALL, TEXT)
     assert fit.main([str(scene), str(file), "-o", str(beside / "fit")]) == 2
     told = capsys.readouterr().err.strip()

@@ -20,7 +20,7 @@ from vgmpi.apps.fit.target_factory import target_of
 from vgmpi.apps.fit.video_reader import pictures_in, scaled
 from vgmpi.io.run_reader import RunReader
 from vgmpi.rendering.image_io import to_bytes, write_png
-from vgmpi.runtime import memory_budget
+from vgmpi.runtime import process_limits
 from vgmpi.scene.loader import load
 
 KEY = "material.rubber.youngs_modulus"
@@ -201,7 +201,7 @@ def test_pictures_are_moved(by):
 
 
 def test_what_does_not_fit_is_refused(folder, monkeypatch, capsys):
-    monkeypatch.setattr(memory_budget, "available_memory", lambda swap=False: 3 << 20)
+    monkeypatch.setattr(process_limits, "available_memory", lambda swap=False: 3 << 20)
     scene, file = made(folder, BALL, text('video = "pictures"'))
     assert fit.main([str(scene), str(file), "-o", str(folder / "large")]) == 2
     told = capsys.readouterr().err

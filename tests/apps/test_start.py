@@ -12,7 +12,7 @@ from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.launch import describe_stop, launched_by
 from vgmpi.planning.cost.run_estimate import predicted_seconds
 from vgmpi.planning.cost.throughput import ASSUMED_THROUGHPUT
-from vgmpi.runtime import processor_cores
+from vgmpi.runtime import process_limits
 from vgmpi.scene.loader import load
 from vgmpi.solver.initial_particles import plan_for, prepare
 
@@ -196,20 +196,20 @@ def test_a_quota_counts_as_fewer_cores(monkeypatch, tmp_path):
     (group / "inner").mkdir(parents=True)
     (group / "cpu.max").write_text("150000 100000\n")
     (group / "inner" / "cpu.max").write_text("max 100000\n")
-    monkeypatch.setattr(processor_cores, "_OWN", tmp_path / "own")
-    monkeypatch.setattr(processor_cores, "_CGROUPS", tmp_path / "groups")
-    monkeypatch.setattr(processor_cores, "_allowed", lambda: list(range(8)))
-    monkeypatch.setattr(processor_cores, "_TOPOLOGY", str(tmp_path / "{}"))
-    assert processor_cores.physical_cores() == 2
+    monkeypatch.setattr(process_limits, "_OWN", tmp_path / "own")
+    monkeypatch.setattr(process_limits, "_CGROUPS", tmp_path / "groups")
+    monkeypatch.setattr(process_limits, "_allowed", lambda: list(range(8)))
+    monkeypatch.setattr(process_limits, "_TOPOLOGY", str(tmp_path / "{}"))
+    assert process_limits.physical_cores() == 2
     (group / "cpu.max").write_text("max 100000\n")
-    assert processor_cores.physical_cores() == 8
+    assert process_limits.physical_cores() == 8
     for number in range(8):
         (tmp_path / str(number)).write_text(f"{number % 4},{number % 4 + 4}\n")
-    assert processor_cores.physical_cores() == 4
+    assert process_limits.physical_cores() == 4
 
 
 def test_free_cores_are_measured():
-    assert 0.0 <= processor_cores.FreeCores().measure() <= processor_cores.available_cores() + 0.5
+    assert 0.0 <= process_limits.FreeCores().measure() <= process_limits.available_cores() + 0.5
 
 
 def test_the_line_of_supervised_ranks():

@@ -17,7 +17,7 @@ from vgmpi.apps.bench.benchmark_case import BenchError, Case, lay_out
 from vgmpi.apps.bench.interleaved_rounds import Contestant
 from vgmpi.apps.bench.subcommands import parse_arguments, print_progress, run_command
 from vgmpi.io.run_reader import RunError
-from vgmpi.runtime.exit_handler import exit_code_from_exceptions
+from vgmpi.runtime.command_line import exit_code_from_exceptions
 from vgmpi.scene.sections import Transfer
 
 PROGRAM = "python -m tests.benchmarks"

@@ -21,7 +21,7 @@ import numpy as np
 
 from tests.support.launch import OPEN_MPI, ROOT
 from vgmpi.apps.bench.benchmark_case import BenchError
-from vgmpi.runtime.processor_cores import FreeCores
+from vgmpi.runtime.process_limits import FreeCores
 from vgmpi.solver.run import DONE, STOPPED
 
 SCENES = {  # overrides, and the steps of a part

@@ -155,7 +155,7 @@ class _Process:
 
 def _serve() -> None:
     """Run the commands that come on stdin."""
-    from vgmpi.runtime import memory_budget
+    from vgmpi.runtime import process_limits
 
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
@@ -163,7 +163,7 @@ def _serve() -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     faulthandler.enable()
     faulthandler.register(signal.SIGPROF, chain=True)  # says where, then ends as without it
-    memory_budget.available_memory = lambda swap=False: FREE
+    process_limits.available_memory = lambda swap=False: FREE
     costs = CostCounter(time.process_time)
     for line in sys.stdin:
         limited, program, *words = json.loads(line)

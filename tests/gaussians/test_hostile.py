@@ -17,7 +17,7 @@ from tests.support import hostile_containers, hostile_gaussians
 from tests.support import splat_containers as containers
 from tests.support.launch import PATIENCE
 from vgmpi.gaussians.formats import registry
-from vgmpi.runtime import memory_budget
+from vgmpi.runtime import process_limits
 
 ROOT = Path(__file__).resolve().parents[2]
 CASES = hostile_gaussians.cases()
@@ -238,7 +238,7 @@ def test_what_does_not_fit_is_told_with_the_first_rows(tmp_path, monkeypatch, su
     path.write_bytes(GOOD[suffix][0])
     count = len(registry.read(path))
     for free in (100 * count, 1000 * count):  # bytes: two thirds and six times what they take
-        monkeypatch.setattr(memory_budget, "available_memory", lambda swap=False, free=free: free)
+        monkeypatch.setattr(process_limits, "available_memory", lambda swap=False, free=free: free)
         if free > 500 * count:
             assert len(registry.read(path)) == count
         else:

@@ -11,7 +11,7 @@ import numpy as np
 
 from vgmpi.apps.run import cli
 from vgmpi.parallel.block_lattice import BLOCK_CENTER
-from vgmpi.runtime.exit_handler import exit_code_from_exceptions
+from vgmpi.runtime.command_line import exit_code_from_exceptions
 from vgmpi.solver.simulation import Simulation
 
 STEP = 5

@@ -15,7 +15,7 @@ from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import ply
 from vgmpi.preprocess import memory_estimate, shape_sdf
 from vgmpi.preprocess.scene_builder import build_scene
-from vgmpi.runtime import memory_budget
+from vgmpi.runtime import process_limits
 from vgmpi.runtime.config.schema import SceneError
 from vgmpi.scene.shapes import Shape
 
@@ -189,8 +189,8 @@ CHECK = """
 import contextlib, io, json, sys
 from tests.support import peak_memory
 from vgmpi.apps.run import cli
-from vgmpi.runtime import memory_budget
-memory_budget.available_memory = lambda swap=False: 8 << 30  # on any machine
+from vgmpi.runtime import process_limits
+process_limits.available_memory = lambda swap=False: 8 << 30  # on any machine
 for command in json.loads(sys.argv[1]):
     peak_memory.forget()
     with contextlib.redirect_stderr(io.StringIO()) as said:
@@ -285,11 +285,11 @@ def test_what_fits_is_not_looked_at_twice(tmp_path, monkeypatch):
         + memory_estimate.BYTES_PER_PARTICLE_MERGED["body"]
     )
     monkeypatch.setattr(
-        memory_budget, "available_memory", lambda swap=False: int(1.5 * count * bytes_of)
+        process_limits, "available_memory", lambda swap=False: int(1.5 * count * bytes_of)
     )
     memory_estimate.require_memory_for_shapes(made)  # its box has six times as many places
     monkeypatch.setattr(
-        memory_budget, "available_memory", lambda swap=False: int(0.5 * count * bytes_of)
+        process_limits, "available_memory", lambda swap=False: int(0.5 * count * bytes_of)
     )
     with pytest.raises(SceneError, match="domain.cell: 0.02 m makes at least .* GiB are free"):
         memory_estimate.require_memory_for_shapes(made)
@@ -338,7 +338,7 @@ def test_few_points_are_looked_at_together(monkeypatch):
 
 
 def test_free_memory_is_a_number_of_bytes():
-    free, with_swap = (memory_budget.available_memory(swap=swap) for swap in (False, True))
+    free, with_swap = (process_limits.available_memory(swap=swap) for swap in (False, True))
     meanwhile = 1 << 30  # [bytes] that others may take between the two readings
     assert 1 << 20 < free <= with_swap + meanwhile < 1 << 50
 
@@ -353,8 +353,6 @@ def test_a_control_group_leaves_what_it_does_not_use(tmp_path, monkeypatch):
         (at / "memory.stat").write_text(f"anon 5\nactive_file {700 << 20}\ninactive_file 0\n")
     own = tmp_path / "cgroup"
     own.write_text("1:cpu:/elsewhere\n0::/job/step\n")
-    monkeypatch.setattr(memory_budget, "_OWN", own)
-    monkeypatch.setattr(
-        memory_budget, "_LIMITS", [("0::", tmp_path, *memory_budget._LIMITS[0][2:])]
-    )
-    assert memory_budget._cgroup_headroom() == [1700 << 20]
+    monkeypatch.setattr(process_limits, "_OWN", own)
+    monkeypatch.setattr(process_limits, "_CGROUPS", tmp_path)
+    assert process_limits._cgroup_headroom() == [1700 << 20]

@@ -26,7 +26,7 @@ from vgmpi.preprocess.meshes import (
 )
 from vgmpi.preprocess.meshes.surface_mesh import MeshError
 from vgmpi.preprocess.meshes.triangle_mesh import Mesh
-from vgmpi.runtime import memory_budget
+from vgmpi.runtime import process_limits
 
 ROOT = Path(__file__).resolve().parents[2]
 FILES = 60  # damaged files of each format; VTK reads the last two by the same code
@@ -210,9 +210,9 @@ def test_triangles_at_one_place_take_no_more_memory_than_others():
 
 def test_points_that_coincide_are_counted_before_they_are_paired(monkeypatch):
     """Of n points at one place, n squared pairs would be listed."""
-    monkeypatch.setattr(memory_budget, "available_memory", lambda **_: 100_000)
+    monkeypatch.setattr(process_limits, "available_memory", lambda **_: 100_000)
     near = np.random.default_rng(0).random((300, 3)) * 1e-8
     x = np.concatenate([near, [[1.0, 0, 0], [0, 1.0, 0]]])
     mesh = Mesh(x, np.array([[k, 300, 301] for k in range(300)]))
-    with pytest.raises(memory_budget.InsufficientMemoryError, match="points that coincide"):
+    with pytest.raises(process_limits.InsufficientMemoryError, match="points that coincide"):
         mesh_topology.analyze_mesh(mesh)

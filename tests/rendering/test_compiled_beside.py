@@ -11,7 +11,7 @@ from vgmpi.io.run_reader import RunReader
 from vgmpi.rendering import frame_processes, render_config
 from vgmpi.rendering.frame_renderer import FrameRenderer
 from vgmpi.rendering.studio import compositing, liquid_radiance, spray_drops
-from vgmpi.runtime import compile_notice
+from vgmpi.runtime import compiled_kernels
 
 LAST = compositing.compose, liquid_radiance.find_surface, spray_drops.paint_drops
 
@@ -35,7 +35,7 @@ def test_it_compiles_what_a_picture_with_a_liquid_needs(painter):
 def fire(monkeypatch):
     """A function that does as numba does when it begins to compile."""
     listeners = []
-    monkeypatch.setattr(compile_notice.event, "register", lambda _, one: listeners.append(one))
+    monkeypatch.setattr(compiled_kernels.event, "register", lambda _, one: listeners.append(one))
     started = event.Event("numba:compile", event.EventStatus.START)
     return lambda: [one.on_start(started) for one in listeners]
 

@@ -7,7 +7,7 @@ from tests.support import drawn_runs
 from vgmpi.io.run_reader import RunReader
 from vgmpi.rendering import render_config
 from vgmpi.rendering.frame_renderer import FrameRenderer
-from vgmpi.runtime import memory_budget
+from vgmpi.runtime import process_limits
 
 FULL = """
 [camera]
@@ -272,7 +272,7 @@ def test_pictures_that_do_not_fit(tmp_path, monkeypatch):
     drawn_runs.write(tmp_path)
     run, large = RunReader(tmp_path), {"width": 8192, "height": 8192}
     paper = {"preset": "paper"}
-    monkeypatch.setattr(memory_budget, "available_memory", lambda swap=False: 20 << 30)
+    monkeypatch.setattr(process_limits, "available_memory", lambda swap=False: 20 << 30)
     finer = render_config.Settings(look=paper, picture=large | {"supersample": 4})
     with pytest.raises(
         render_config.SettingsError, match="picture.supersample: 4 draws 8192 x 8192"
@@ -300,7 +300,7 @@ def test_frames_are_shared_by_as_many_processes_as_cores_frames_and_memory_allow
     large = render_config.Settings(
         look={"preset": "paper"}, picture={"width": 8192, "height": 8192}
     )
-    monkeypatch.setattr(memory_budget, "available_memory", lambda swap=False: 20 << 30)
+    monkeypatch.setattr(process_limits, "available_memory", lambda swap=False: 20 << 30)
     painter = FrameRenderer(RunReader(tmp_path), large, tmp_path)
     monkeypatch.setattr(render, "available_cores", lambda: 16)
     assert render.process_count(painter, 100) == 10  # 2 GiB each
@@ -314,7 +314,7 @@ def test_a_picture_too_large_is_one_line_and_exit_code_2(tmp_path, monkeypatch, 
     drawn_runs.write(tmp_path)
     text = 'look.preset = "paper"\n[picture]\nwidth = 8192\nheight = 8192\n'
     (tmp_path / "render.toml").write_text(text)
-    monkeypatch.setattr(memory_budget, "available_memory", lambda swap=False: 3 << 30)
+    monkeypatch.setattr(process_limits, "available_memory", lambda swap=False: 3 << 30)
     command = [str(tmp_path), str(tmp_path / "render.toml"), "-q"]
     assert render.main([*command, "--jobs", "2"]) == 2
     (line,) = capsys.readouterr().err.splitlines()

@@ -12,7 +12,7 @@ from postprocess import render, view
 from tests.support import drawn_runs
 from tests.support.launch import run
 from vgmpi.apps.fit import __main__ as fit
-from vgmpi.runtime import atomic_write
+from vgmpi.runtime import user_files
 
 SMALL = drawn_runs.on_paper("[picture]\nwidth = 64\nheight = 48\n")
 
@@ -29,7 +29,7 @@ def full_disk(monkeypatch):
     def fail(handle):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(atomic_write.os, "fsync", fail)
+    monkeypatch.setattr(user_files.os, "fsync", fail)
 
 
 def program(path, text):

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from vgmpi.runtime import atomic_write
-from vgmpi.runtime.atomic_write import replace_file
+from vgmpi.runtime import user_files
+from vgmpi.runtime.user_files import replace_file
 
 ROOT = Path(__file__).parents[2]
 
@@ -26,7 +26,7 @@ def test_a_failure_leaves_the_old_file(tmp_path, monkeypatch, call):
 
     path = tmp_path / "a.toml"
     path.write_text("old")
-    monkeypatch.setattr(atomic_write.os, call, fail)
+    monkeypatch.setattr(user_files.os, call, fail)
     with pytest.raises(OSError, match="No space left"):
         replace_file(path, "new and longer")
     assert path.read_text() == "old" and os.listdir(tmp_path) == ["a.toml"]
@@ -44,7 +44,7 @@ def test_no_other_place_writes_files_of_users():
     """Writers of HDF5, of videos and of locks have files of their own kinds."""
     pattern = re.compile(r"\.write_text\(|\.write_bytes\(|open\([^)]*[\"'][wx]b?[\"']")
     allowed = {
-        "vgmpi/runtime/atomic_write.py",
+        "vgmpi/runtime/user_files.py",
         "vgmpi/rendering/frame_colors.py",  # a cache
         "vgmpi/runtime/compile_cache.py",  # a cache, with checksums
         "vgmpi/apps/bench/benchmark_case.py",  # scenes in a temporary folder

@@ -13,13 +13,7 @@ import numba
 import numpy as np
 import pytest
 
-from vgmpi.runtime import (
-    compile_cache,
-    compile_key,
-    compile_lock,
-    compiled_marker,
-    source_digest,
-)
+from vgmpi.runtime import cache_files, compile_cache, compile_key, compiled_kernels, source_digest
 
 
 def half(x):
@@ -120,7 +114,7 @@ def test_a_folder_that_can_only_be_read_is_read(folder, monkeypatch):
     def refuse(*_, **__):
         raise PermissionError(13, "read only")
 
-    for module, name in ((compile_lock.os, "open"), (compile_cache.os, "replace")):
+    for module, name in ((cache_files.os, "open"), (compile_cache.os, "replace")):
         monkeypatch.setattr(module, name, refuse)
     made, other = fresh(), fresh(third)
     assert made(3.0) == 1.625 and made.stats.cache_hits
@@ -139,8 +133,8 @@ def test_a_lock_is_released_where_compilation_fails(folder):
 
 def test_a_lock_that_stays_is_not_waited_for_forever(folder, monkeypatch):
     path = folder / "some"
-    held, other = compile_lock.FileLock(path), compile_lock.FileLock(path)
-    monkeypatch.setattr(compile_lock, "PATIENCE", 0.1)
+    held, other = cache_files.FileLock(path), cache_files.FileLock(path)
+    monkeypatch.setattr(cache_files, "PATIENCE", 0.1)
     start = time.monotonic()
     assert held.acquire() and not other.acquire() and time.monotonic() - start < 60
     held.release()
@@ -166,10 +160,10 @@ def test_a_function_without_a_module_is_not_kept(folder):
 
 
 def test_markers_follow_the_key(folder, monkeypatch):
-    before = compiled_marker.compiled_marker("fluid")
-    assert before.parent == folder and before == compiled_marker.compiled_marker("fluid")
+    before = compiled_kernels.compiled_marker("fluid")
+    assert before.parent == folder and before == compiled_kernels.compiled_marker("fluid")
     monkeypatch.setattr(compile_key, "_source_lines", lambda modules: ["source x 0"])
-    assert compiled_marker.compiled_marker("fluid") != before
+    assert compiled_kernels.compiled_marker("fluid") != before
 
 
 def test_the_folder_is_the_users_unless_numba_has_one(monkeypatch, tmp_path):
@@ -180,11 +174,11 @@ def test_the_folder_is_the_users_unless_numba_has_one(monkeypatch, tmp_path):
 
 def test_who_waits_says_for_whom(tmp_path, monkeypatch, caplog):
     """Of a stopped process, how it goes on; on every rank, since others wait for one that waits."""
-    monkeypatch.setattr(compile_lock, "ANNOUNCE_SECONDS", 0.05)
-    monkeypatch.setattr(compile_lock, "PATIENCE", 0.3)
+    monkeypatch.setattr(cache_files, "ANNOUNCE_SECONDS", 0.05)
+    monkeypatch.setattr(cache_files, "PATIENCE", 0.3)
     path = tmp_path / "kernel-0123.nbc"
     code = (
-        "import sys; from pathlib import Path; from vgmpi.runtime.compile_lock import FileLock\n"
+        "import sys; from pathlib import Path; from vgmpi.runtime.cache_files import FileLock\n"
         f"print(FileLock(Path({str(path)!r})).acquire(), flush=True); sys.stdin.read()"
     )
     with subprocess.Popen(
@@ -193,8 +187,8 @@ def test_who_waits_says_for_whom(tmp_path, monkeypatch, caplog):
         assert holder.stdout.readline() == "True\n"
         os.kill(holder.pid, signal.SIGSTOP)
         os.waitid(os.P_PID, holder.pid, os.WSTOPPED)
-        with caplog.at_level(compile_lock.ON_EVERY_RANK, "vgmpi"):
-            assert not compile_lock.FileLock(path).acquire()
+        with caplog.at_level(cache_files.ON_EVERY_RANK, "vgmpi"):
+            assert not cache_files.FileLock(path).acquire()
         os.kill(holder.pid, signal.SIGCONT)
         holder.stdin.close()
     wanted = f"waits for process {holder.pid}, which compiles kernel: 0 s so far, at most 0 s"

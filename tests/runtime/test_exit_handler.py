@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from tests.support.launch import ROOT, run
-from vgmpi.runtime import exit_handler
+from vgmpi.runtime import command_line
 
 
 @pytest.mark.parametrize(
@@ -20,7 +20,7 @@ from vgmpi.runtime import exit_handler
     ],
 )
 def test_what_nobody_foresaw(error, code, said, capsys):
-    @exit_handler.exit_code_from_exceptions
+    @command_line.exit_code_from_exceptions
     def main():
         raise error
 
@@ -31,7 +31,7 @@ def test_what_nobody_foresaw(error, code, said, capsys):
 
 
 def test_other_ends_stay_as_they_are():
-    assert exit_handler.exit_code_from_exceptions(lambda words: len(words))(["a", "b", "c"]) == 3
+    assert command_line.exit_code_from_exceptions(lambda words: len(words))(["a", "b", "c"]) == 3
 
 
 PLAN = (sys.executable, "-m", "vgmpi", ROOT / "runs" / "dam_break" / "scene.toml", "--plan")
@@ -51,8 +51,8 @@ def test_a_full_disk_behind_stdout(unbuffered, monkeypatch):
 def test_letters_that_the_terminal_has_not():
     lines = (
         "import sys",
-        "from vgmpi.runtime import exit_handler",
-        "sys.exit(exit_handler.exit_code_from_exceptions(lambda: print('Größe') or 0)())",
+        "from vgmpi.runtime import command_line",
+        "sys.exit(command_line.exit_code_from_exceptions(lambda: print('Größe') or 0)())",
     )
     code = "\n".join(lines)
     done = run([sys.executable, "-c", code], env={"PYTHONIOENCODING": "ascii", "LANG": "C"})
@@ -77,7 +77,7 @@ def test_nobody_reads_on():
     ],
 )
 def test_no_text_from_a_file_is_an_order_to_the_terminal(text, shown, capsys):
-    @exit_handler.exit_code_from_exceptions
+    @command_line.exit_code_from_exceptions
     def main():
         handler = logging.StreamHandler()
         log = logging.getLogger("vgmpi.test")

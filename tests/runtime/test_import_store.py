@@ -2,7 +2,7 @@
 
 import pytest
 
-from vgmpi.runtime import import_store, source_digest
+from vgmpi.runtime import source_digest
 
 ENTRY = ([("np", "numpy"), ("f", "vgmpi.x.f")], ["Path"])
 
@@ -10,21 +10,21 @@ ENTRY = ([("np", "numpy"), ("f", "vgmpi.x.f")], ["Path"])
 @pytest.fixture
 def store(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    import_store._entries.cache_clear()
-    yield import_store.store_path()
-    import_store._entries.cache_clear()
+    source_digest._stored_entries.cache_clear()
+    yield source_digest.store_path()
+    source_digest._stored_entries.cache_clear()
 
 
 def test_an_entry_comes_back_in_the_next_process(store):
-    import_store.write_entry("a", ENTRY)
-    import_store._entries.cache_clear()
-    assert import_store.read_entry("a") == ENTRY and import_store.read_entry("b") is None
+    source_digest._write_entry("a", ENTRY)
+    source_digest._stored_entries.cache_clear()
+    assert source_digest._read_entry("a") == ENTRY and source_digest._read_entry("b") is None
 
 
 @pytest.mark.parametrize("damage", ["byte", "cut", "junk"])
 def test_damage_is_absence(store, damage):
-    import_store.write_entry("a", ENTRY)
-    import_store.write_entry("b", ENTRY)
+    source_digest._write_entry("a", ENTRY)
+    source_digest._write_entry("b", ENTRY)
     data = store.read_bytes()
     first = data.index(b"\n") + 1
     spoiled = {
@@ -33,17 +33,17 @@ def test_damage_is_absence(store, damage):
         "junk": b"\xff\x00\n" + data[first:],
     }[damage]
     store.write_bytes(spoiled)
-    import_store._entries.cache_clear()
-    assert import_store.read_entry("a") is None and import_store.read_entry("b") == ENTRY
+    source_digest._stored_entries.cache_clear()
+    assert source_digest._read_entry("a") is None and source_digest._read_entry("b") == ENTRY
 
 
 def test_a_folder_that_cannot_be_written_is_no_fault(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    import_store._entries.cache_clear()
-    import_store.write_entry("a", ENTRY)
-    assert import_store.read_entry("a") == ENTRY
-    import_store._entries.cache_clear()
+    source_digest._stored_entries.cache_clear()
+    source_digest._write_entry("a", ENTRY)
+    assert source_digest._read_entry("a") == ENTRY
+    source_digest._stored_entries.cache_clear()
 
 
 def test_a_source_is_parsed_once(store, monkeypatch):

@@ -14,7 +14,7 @@ from vgmpi.io.run_reader import RunError, RunReader, inspect, read_gaussians
 from vgmpi.preprocess.meshes import texture
 from vgmpi.rendering import camera_selection, image_io
 from vgmpi.rendering.render_config import SettingsError
-from vgmpi.runtime import memory_budget, safe_open
+from vgmpi.runtime import process_limits, user_files
 
 
 def large(path, width=10_000, height=10_000):
@@ -78,7 +78,7 @@ def test_settings_of_a_renderer_are_a_file(odd):
 def test_a_scene_is_not_large(tmp_path, capsys):
     path = tmp_path / "scene.toml"
     with open(path, "wb") as f:
-        f.truncate(safe_open.MAX_TEXT_BYTES + 1)
+        f.truncate(user_files.MAX_TEXT_BYTES + 1)
     assert cli.main([str(path), "--check"]) == 2
     assert "has 16,777,217 bytes; at most 16,777,216 are read" in capsys.readouterr().err
 
@@ -97,7 +97,7 @@ def test_pictures_are_not_large(tmp_path):
 def test_pictures_fit_into_the_memory(tmp_path, monkeypatch):
     path = tmp_path / "a.png"
     large(path, 5000, 5000)
-    monkeypatch.setattr(memory_budget, "available_memory", lambda swap=False: 500 << 20)
+    monkeypatch.setattr(process_limits, "available_memory", lambda swap=False: 500 << 20)
     key = f"picture.background: {path}: "  # where it stands in render.toml
     with pytest.raises(texture.TextureError, match="its 5,000 x 5,000 pixels take at least"):
         texture.read_texture(path)
@@ -110,9 +110,9 @@ def test_others_are_as_they_were(tmp_path):
 
     pixels = np.arange(5 * 7 * 3, dtype=np.uint8).reshape(5, 7, 3)
     iio.imwrite(tmp_path / "a.png", pixels)
-    assert (safe_open.read_image(tmp_path / "a.png") == pixels).all()
+    assert (user_files.read_image(tmp_path / "a.png") == pixels).all()
     assert (
-        safe_open.read_regular_file(tmp_path / "a.png", 10**6) == (tmp_path / "a.png").read_bytes()
+        user_files.read_regular_file(tmp_path / "a.png", 10**6) == (tmp_path / "a.png").read_bytes()
     )
 
 

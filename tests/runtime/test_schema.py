@@ -16,7 +16,7 @@ from vgmpi.runtime.config.schema import (
     format_validation_errors,
     unit,
 )
-from vgmpi.runtime.suggestions import did_you_mean
+from vgmpi.runtime.message_text import did_you_mean
 
 
 @pytest.mark.parametrize(

@@ -6,10 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vgmpi.runtime.config import text_bounds, toml_source
+from vgmpi.runtime.config import toml_scan, toml_source
 from vgmpi.runtime.config.schema import SceneError, TomlError
-from vgmpi.runtime.config.text_bounds import MAX_NESTING
-from vgmpi.runtime.config.toml_positions import locate_keys
+from vgmpi.runtime.config.toml_scan import MAX_NESTING, locate_keys
 from vgmpi.runtime.config.toml_source import TomlSource
 
 TEXT = '''# comment with = and [brackets]
@@ -251,7 +250,7 @@ def test_numbers_and_nesting_beyond_all_measure(tmp_path, text, says):
 )
 def test_what_a_file_holds_is_bounded(tmp_path, monkeypatch, text, line):
     """Before a parser sees it: parsed, some forms take a thousand times their letters."""
-    monkeypatch.setattr(text_bounds, "MAX_ITEMS", 75)
+    monkeypatch.setattr(toml_scan, "MAX_ITEMS", 75)
     monkeypatch.setattr(toml_source.tomllib, "loads", None)
     path = tmp_path / "a.toml"
     path.write_text(text)
@@ -272,7 +271,7 @@ def test_what_a_file_holds_is_bounded(tmp_path, monkeypatch, text, line):
     ],
 )
 def test_strings_and_comments_hold_what_they_like(tmp_path, monkeypatch, text):
-    monkeypatch.setattr(text_bounds, "MAX_ITEMS", 75)
+    monkeypatch.setattr(toml_scan, "MAX_ITEMS", 75)
     path = tmp_path / "a.toml"
     path.write_text(text)
     assert "a" in TomlSource(path).data

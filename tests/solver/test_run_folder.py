@@ -229,7 +229,7 @@ def test_a_lock_that_is_a_link_is_not_followed(scene, capsys):
 
 def test_a_run_that_comes_to_nothing_leaves_no_folder(scene, capsys, monkeypatch):
     monkeypatch.setattr(
-        cli.memory_budget, "available_memory", lambda swap=False: 1 << 40 if swap else 1000
+        cli.process_limits, "available_memory", lambda swap=False: 1 << 40 if swap else 1000
     )
     assert run(scene) == 2
     assert "GiB" in capsys.readouterr().err and not (scene.parent / "out").exists()

@@ -16,7 +16,7 @@ from tests.support.small_scenes import MIXED
 from vgmpi.apps.bench import instrumented_contestant
 from vgmpi.apps.bench.benchmark_case import Case, lay_out
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.runtime.compiled_marker import compiled_marker
+from vgmpi.runtime.compiled_kernels import compiled_marker
 from vgmpi.solver import compile_kernels
 
 

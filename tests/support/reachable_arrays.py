@@ -6,7 +6,7 @@ from unittest import mock
 
 import numpy as np
 
-from vgmpi.runtime import fast_dispatch
+from vgmpi.runtime import compiled_kernels
 from vgmpi.solver.simulation import Simulation
 
 
@@ -48,7 +48,7 @@ class Calls:
 
     def __enter__(self) -> "Calls":
         self.made: dict[tuple, object] = {}
-        self.patch = mock.patch.object(fast_dispatch, "_entries", self.made)
+        self.patch = mock.patch.object(compiled_kernels, "_entries", self.made)
         self.patch.start()
         return self
 

@@ -9,9 +9,9 @@ import platform
 import sys
 from typing import NamedTuple
 
-from vgmpi.runtime.argument_parser import EXIT_USAGE
+from vgmpi.runtime.command_line import EXIT_USAGE
+from vgmpi.runtime.message_text import did_you_mean
 from vgmpi.runtime.process_limits import find_unusable_limit
-from vgmpi.runtime.suggestions import did_you_mean
 from vgmpi.runtime.versions import program_version
 
 

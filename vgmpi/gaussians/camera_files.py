@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from vgmpi.runtime.config.schema import TomlError
-from vgmpi.runtime.safe_open import read_regular_file
+from vgmpi.runtime.user_files import read_regular_file
 
 from .camera import Camera
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from vgmpi.runtime import safe_open
+from vgmpi.runtime import user_files
 
 from . import file_layout, hdf5_validation
 
@@ -100,7 +100,7 @@ def _multiply(a, b):
 def load(checkpoint: Path) -> dict:
     """Return the manifest of a checkpoint after a check of all types. Raises Broken."""
     try:
-        text = safe_open.read_regular_file(path_of(checkpoint), MAX_BYTES, follow=False)
+        text = user_files.read_regular_file(path_of(checkpoint), MAX_BYTES, follow=False)
         manifest = json.loads(text)
     except FileNotFoundError:
         raise InvalidCheckpoint("it has no manifest: writing it was not finished") from None

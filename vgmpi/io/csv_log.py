@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.runtime import safe_open
+from vgmpi.runtime import user_files
 
 from . import file_layout, hdf5_writer
 from .run_reader import RunError
@@ -155,7 +155,7 @@ def optional_ledger_columns(path: Path, liquids: bool, rigid: bool) -> tuple[boo
         liquids, rigid: Results if there is no readable file.
     """
     try:
-        text = safe_open.read_regular_file(path, MAX_BYTES, follow=False)
+        text = user_files.read_regular_file(path, MAX_BYTES, follow=False)
     except OSError:
         return liquids, rigid
     names = text.split(b"\n", 1)[0].split(b",")
@@ -172,7 +172,7 @@ def read_probe(path: Path) -> list[dict]:
         RunError: No kind of probe has this header, or a row is not what was written.
     """
     try:
-        head = safe_open.read_regular_file(path, MAX_BYTES, follow=False).split(b"\n", 1)[0]
+        head = user_files.read_regular_file(path, MAX_BYTES, follow=False).split(b"\n", 1)[0]
     except OSError as error:
         raise RunError(f"{path}: {error.strerror}") from None
     for columns in file_layout.PROBE_COLUMNS.values():
@@ -272,7 +272,7 @@ def read_rows(
         RunError: A row is not what was written; the text names its line.
     """
     try:
-        text = safe_open.read_regular_file(path, MAX_BYTES, follow=False)
+        text = user_files.read_regular_file(path, MAX_BYTES, follow=False)
     except OSError as error:
         link = error.errno == errno.ELOOP
         reason = "is a link to elsewhere" if link else error.strerror

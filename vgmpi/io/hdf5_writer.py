@@ -23,8 +23,8 @@ import h5py
 import numpy as np
 
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.runtime.atomic_write import replace_file, sync_folder
-from vgmpi.runtime.exit_handler import DENIED, FULL
+from vgmpi.runtime.command_line import DENIED, FULL
+from vgmpi.runtime.user_files import replace_file, sync_folder
 
 from . import checkpoint_manifest, file_layout
 from .sparse_memory_file import SparseMemoryFile

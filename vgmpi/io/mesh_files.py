@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vgmpi.runtime.atomic_write import replace_file
+from vgmpi.runtime.user_files import replace_file
 
 VTK_TYPES = {"f4": "Float32", "i4": "Int32", "i8": "Int64", "u1": "UInt8"}
 VTP_HEAD = (

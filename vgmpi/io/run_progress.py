@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
-from vgmpi.runtime.duration_text import format_duration
+from vgmpi.runtime.message_text import format_duration
 
 from . import file_layout, run_lock
 from .run_lock import RunWriter

@@ -19,7 +19,7 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 
-from vgmpi.runtime.suggestions import did_you_mean_file
+from vgmpi.runtime.message_text import did_you_mean_file
 
 from . import checkpoint_manifest, file_layout, hdf5_validation, integrity
 

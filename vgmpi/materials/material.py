@@ -26,7 +26,7 @@ from pydantic import BaseModel, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from vgmpi.runtime.config.schema import StrictModel
-from vgmpi.runtime.suggestions import did_you_mean
+from vgmpi.runtime.message_text import did_you_mean
 
 FUNCTIONS = ("advance", "stress", "volume_ratio", "wave_speed2", "energy")
 

@@ -6,7 +6,7 @@ import numpy as np
 import scipy
 
 from vgmpi.gaussians.cloud import GaussianCloud
-from vgmpi.runtime.suggestions import did_you_mean
+from vgmpi.runtime.message_text import did_you_mean
 from vgmpi.scene.captures import Select
 
 from .placement import PlacementError

@@ -7,7 +7,7 @@ import numpy as np
 from vgmpi.gaussians.shape_distance import distance
 from vgmpi.planning.inlet_schedule import inlet_speed, outlet_plans, particle_count
 from vgmpi.planning.phases_and_groups import phases_with_surface
-from vgmpi.runtime import memory_budget
+from vgmpi.runtime import process_limits
 from vgmpi.scene import inlet_geometry
 from vgmpi.scene.inlets_outlets import Inlet
 from vgmpi.scene.scene import Scene
@@ -33,13 +33,13 @@ def require_inlet_memory(scene: Scene) -> None:
     for k, source in enumerate(scene.inlet):
         per_layer = inlet_geometry.per_layer(source, dx)
         try:
-            memory_budget.require_memory(
+            process_limits.require_memory(
                 per_layer * bytes_each, f"a layer of inlet '{source.name}' has at least"
             )
             count = particle_count(scene, source)
             message = f"inlet '{source.name}' makes {count:.3g} particles until it ends: at least"
-            memory_budget.require_memory(count * bytes_each, message)
-        except memory_budget.InsufficientMemoryError as error:
+            process_limits.require_memory(count * bytes_each, message)
+        except process_limits.InsufficientMemoryError as error:
             raise scene.error([(("inlet", k), str(error))]) from None
         if not count:
             message = "nothing comes: it ends before the first particle has passed its mouth"

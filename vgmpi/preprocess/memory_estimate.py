@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from vgmpi.gaussians import shape_distance
-from vgmpi.runtime import memory_budget
+from vgmpi.runtime import process_limits
 from vgmpi.scene.objects import SIZES, Object
 from vgmpi.scene.scene import Scene
 
@@ -42,7 +42,7 @@ _MAX_LAYER_DEPTH = (
 
 def require_memory_for_shapes(scene: Scene) -> None:
     """Raise SceneError, one line, if particles of shapes cannot fit into the memory."""
-    upper_counts, available = {}, memory_budget.available_memory(swap=True)
+    upper_counts, available = {}, process_limits.available_memory(swap=True)
     for k, obj in enumerate(scene.object):
         if (region := _box(scene, obj)) is not None:
             upper_counts[k] = shape_sdf.lattice_size(*region[1:], spacing_of(scene, obj))
@@ -76,7 +76,7 @@ def require_memory_for_interior(
         "body": BYTES_PER_PARTICLE["body"] + BYTES_PER_PARTICLE_MERGED["body"],
         "scenery": BYTES_PER_CANDIDATE,
     }
-    available = memory_budget.available_memory(swap=True)
+    available = process_limits.available_memory(swap=True)
     if available and candidates * bytes_of[scene.object[k].role] > available:
         coarser = (candidates / _SAMPLE_COUNT) ** (1 / 3)
         inside_count = count(coarser * spacing_of(scene, scene.object[k]))
@@ -104,10 +104,10 @@ def require_particle_memory(
     others = sum(count.values()) - count[k]
     total = f", with all others {others + count[k]:.3g}" if others else ""
     try:
-        memory_budget.require_memory(sum(needed.values()),
+        process_limits.require_memory(sum(needed.values()),
         f"{message}, {spacing_of(scene, obj):g} m apart{total}: at"
                    " least")  # fmt: skip
-    except memory_budget.InsufficientMemoryError as error:
+    except process_limits.InsufficientMemoryError as error:
         raise scene.error([(key(scene, k), str(error))]) from None
 
 
@@ -155,7 +155,7 @@ def require_search_size(candidates: float) -> None:
     """Raise InsufficientMemoryError if too many lattice points would be searched for particles."""
     if not candidates <= MAX_PLACES:
         message = f"{candidates:.3g} places for particles would have to be looked at"
-        raise memory_budget.InsufficientMemoryError(f"{message}; at most {MAX_PLACES:.3g} are")
+        raise process_limits.InsufficientMemoryError(f"{message}; at most {MAX_PLACES:.3g} are")
 
 
 def spacing_of(scene: Scene, obj: Object) -> float:

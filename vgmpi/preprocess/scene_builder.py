@@ -14,7 +14,7 @@ from vgmpi.planning.color_exchange import color_sets
 from vgmpi.planning.particle_channels import SURFACE
 from vgmpi.planning.phases_and_groups import phases_with_surface, stores_deformation
 from vgmpi.preprocess.meshes.surface_mesh import MeshError
-from vgmpi.runtime import memory_budget
+from vgmpi.runtime import process_limits
 from vgmpi.scene.inlets_outlets import Inlet
 from vgmpi.scene.objects import Object
 from vgmpi.scene.scene import Scene
@@ -171,7 +171,7 @@ def _attempt(
         errors.append((("object", k, error.key), str(error)))
     except (GaussianFileError, MeshError) as error:
         errors.append((("object", k, obj.source), str(error)))
-    except memory_budget.InsufficientMemoryError as error:
+    except process_limits.InsufficientMemoryError as error:
         errors.append((memory_estimate.key(scene, k), f"object '{obj.name}': {error}"))
     return None
 

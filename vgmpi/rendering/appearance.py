@@ -8,7 +8,7 @@ from vgmpi.gaussians import compiled_evolution, shape_evolution
 from vgmpi.gaussians.render_models import COMPENSATED_LOWPASS
 from vgmpi.io.run_reader import RunError
 from vgmpi.rendering.raster.rasterize import ALPHA_MIN, ProjectableGaussians, join_gaussians
-from vgmpi.runtime.suggestions import did_you_mean
+from vgmpi.runtime.message_text import did_you_mean
 
 from .frame_colors import FrameColors
 from .frame_gaussians import (

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vgmpi.runtime import safe_open
+from vgmpi.runtime import user_files
 from vgmpi.runtime.versions import program_version
 
 from . import image_io
@@ -60,6 +60,6 @@ def digest_of(painter: FrameRenderer) -> str:
 def read_picture(path: Path) -> np.ndarray:
     """Read a picture (height, width, 3 or 4) uint8. Raises VideoError."""
     try:
-        return safe_open.read_image(path)
+        return user_files.read_image(path)
     except ValueError as error:
         raise image_io.VideoError(f"{path}: {error}") from None

@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import Any
 
 from vgmpi.io.run_reader import RunError, RunReader
-from vgmpi.runtime.compile_notice import call_at_first_compilation
+from vgmpi.runtime.compiled_kernels import call_at_first_compilation
 from vgmpi.runtime.death_signal import die_with_parent
-from vgmpi.runtime.processor_cores import physical_cores
+from vgmpi.runtime.process_limits import physical_cores
 
 from . import render_config
 from .frame_renderer import FrameRenderer, RenderedView

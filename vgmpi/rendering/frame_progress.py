@@ -6,7 +6,7 @@ import threading
 import time
 from typing import Any
 
-from vgmpi.runtime.duration_text import format_duration
+from vgmpi.runtime.message_text import format_duration
 
 log = logging.getLogger("vgmpi")
 

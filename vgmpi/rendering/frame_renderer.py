@@ -12,7 +12,7 @@ import numpy as np
 
 from vgmpi.gaussians.camera import Camera, thin_lens_sample
 from vgmpi.io.run_reader import RunError, RunReader
-from vgmpi.runtime import memory_budget
+from vgmpi.runtime import process_limits
 
 from . import image_io, render_config
 from .appearance import Appearance, view_dependent_splats
@@ -114,10 +114,10 @@ class FrameRenderer:
         try:
             bytes_per_pixel = liquid_surface.BYTES if self.surface else rasterize.BYTES
             bytes_per_pixel = STUDIO_BYTES if self.chosen.studio else bytes_per_pixel
-            memory_budget.require_memory(
+            process_limits.require_memory(
                 at_once * bytes_per_pixel * pixels, f"{key}: {message}{count_text}: at least"
             )
-        except memory_budget.InsufficientMemoryError as error:
+        except process_limits.InsufficientMemoryError as error:
             raise render_config.SettingsError([str(error)]) from None
 
     def camera(self, part: float) -> Camera:

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from vgmpi.runtime import safe_open
-from vgmpi.runtime.atomic_write import replace_file
+from vgmpi.runtime import user_files
+from vgmpi.runtime.user_files import replace_file
 
 
 class VideoError(RuntimeError):
@@ -257,7 +257,7 @@ def background(value: str | tuple, width: int, height: int, folder: Path) -> np.
 def photograph(key: str, path: Path) -> np.ndarray:
     """Read a picture (height, width, 3) in 0..1. Raises VideoError that names the key."""
     try:
-        picture = np.atleast_3d(safe_open.read_image(path))
+        picture = np.atleast_3d(user_files.read_image(path))
     except ValueError as error:
         raise VideoError(f"{key}: {path}: {error}") from None
     top = np.iinfo(picture.dtype).max if picture.dtype.kind == "u" else 1

@@ -31,10 +31,9 @@ from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 from numba.core.sigutils import normalize_signature
 
-from .cache_paths import user_folder
+from .cache_files import FileLock, user_folder
 from .callee_code import KernelCompiler, link_as_callee, rebuild_callee
 from .compile_key import NoKeyError, compile_key, modules_of
-from .compile_lock import FileLock
 
 log = logging.getLogger("vgmpi")
 

@@ -8,10 +8,6 @@ import zlib
 from llvmlite import binding
 from numba import config
 
-from .compile_cache import user_folder
-
-__all__ = ["model", "processor", "user_folder", "vector_bytes", "widest"]
-
 _SUM = """
 target triple = "{triple}"
 define <16 x float> @sum(<16 x float> %a, <16 x float> %b) {{

@@ -2,18 +2,24 @@
 
 Modules are followed within their own package and into vgmpi. A name that a module uses in
 annotations alone is not followed: compiled code does not see annotations.
+
+A process need not parse what another has parsed: the imports of each source are kept in one file in
+the user's cache folder, a line of JSON per source, by the digest of its text, with a checksum. A
+damaged line counts as absent; several processes may append at once.
 """
 
 import ast
 import functools
 import hashlib
+import json
 import os
 import sys
 import time
+import zlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from . import import_store
+from .cache_files import user_folder
 
 _OWN = __name__.split(".")[0]
 _STARTED = time.time()
@@ -73,7 +79,7 @@ class _Parsed:
         self.digest = hashlib.sha256(text).hexdigest()[:32]
         package = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
         key = f"{self.digest} {'.'.join(package)}"
-        entry = import_store.read_entry(key)
+        entry = _read_entry(key)
         if entry is None:
             try:
                 tree = ast.parse(text)
@@ -82,7 +88,7 @@ class _Parsed:
             names = _Names(package)
             names.visit(tree)
             entry = names.imports, sorted(names.in_annotations - names.elsewhere)
-            import_store.write_entry(key, entry)
+            _write_entry(key, entry)
         self.imports, self.annotated = entry[0], set(entry[1])
 
 
@@ -179,3 +185,55 @@ class _Names(ast.NodeVisitor):
             outer, self.current = self.current, self.in_annotations
             self.visit(node)
             self.current = outer
+
+
+Entry = tuple[list[tuple[str, str]], list[str]]  # imports (local, full), names in annotations
+
+MAX_BYTES = 16 << 20  # [bytes] a larger file is begun anew
+
+
+def store_path() -> Path:
+    """Return the path of the store."""
+    return user_folder() / "imports.jsonl"
+
+
+def _read_entry(key: str) -> Entry | None:
+    """Return the entry of a key, or None."""
+    return _stored_entries().get(key)
+
+
+def _write_entry(key: str, entry: Entry) -> None:
+    """Append an entry; a folder that cannot be written keeps none."""
+    _stored_entries()[key] = entry
+    text = json.dumps([key, entry[0], entry[1]])
+    line = f"{zlib.crc32(text.encode()):08x} {text}\n".encode()
+    path = store_path()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists() and path.stat().st_size > MAX_BYTES:
+            path.unlink()
+        handle = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+    except OSError:
+        return
+    try:
+        os.write(handle, line)  # one call: lines of several processes do not mix
+    except OSError:
+        pass
+    finally:
+        os.close(handle)
+
+
+@functools.cache
+def _stored_entries() -> dict[str, Entry]:
+    """Return the entries on disk, by key."""
+    try:
+        lines = store_path().read_bytes().splitlines()
+    except OSError:
+        return {}
+    entries: dict[str, Entry] = {}
+    for line in lines:
+        checksum, _, text = line.partition(b" ")
+        if checksum == b"%08x" % zlib.crc32(text):
+            key, imports, annotated = json.loads(text)
+            entries[key] = [(local, full) for local, full in imports], annotated
+    return entries

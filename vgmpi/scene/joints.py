@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from vgmpi.runtime.config.schema import Length, Point, Positive, Quantity, StrictModel
-from vgmpi.runtime.suggestions import did_you_mean
+from vgmpi.runtime.message_text import did_you_mean
 
 from .loads import as_list
 from .objects import Object, checked_name

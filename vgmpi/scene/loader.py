@@ -11,9 +11,8 @@ from vgmpi.materials import couplings
 from vgmpi.materials.couplings.interaction import CONTACT
 from vgmpi.materials.material import kinds_with_preset, unknown_material
 from vgmpi.runtime.config.schema import SceneError, format_input, format_validation_errors
-from vgmpi.runtime.config.table_source import TableSource
-from vgmpi.runtime.config.toml_source import TomlSource
-from vgmpi.runtime.suggestions import did_you_mean
+from vgmpi.runtime.config.toml_source import TableSource, TomlSource
+from vgmpi.runtime.message_text import did_you_mean
 
 from . import accuracy_presets
 from .gravity import validate_gravity

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from vgmpi.runtime.config.schema import format_input
 from vgmpi.runtime.config.toml_source import TomlSource
-from vgmpi.runtime.suggestions import did_you_mean_file
+from vgmpi.runtime.message_text import did_you_mean_file
 
 from .objects import Object
 from .point_sets import SUFFIXES as POINT_SUFFIXES

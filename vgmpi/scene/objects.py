@@ -17,7 +17,7 @@ from vgmpi.runtime.config.schema import (
     StrictModel,
     Switch,
 )
-from vgmpi.runtime.suggestions import did_you_mean
+from vgmpi.runtime.message_text import did_you_mean
 
 from .captures import Frame, Select, validate_select
 from .initial_fields import FractionProfile, Spin, Velocity, VelocityMode

@@ -3,7 +3,7 @@
 from typing import Annotated, Any
 
 from vgmpi.runtime.config.schema import Quantity
-from vgmpi.runtime.suggestions import did_you_mean
+from vgmpi.runtime.message_text import did_you_mean
 
 from .rigid_motion import Motion, validate_motion
 from .shapes import Shape, validate_shape

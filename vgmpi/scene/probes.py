@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator
 
 from vgmpi.runtime.config.schema import Length, Point, Quantity, StrictModel
-from vgmpi.runtime.suggestions import did_you_mean
+from vgmpi.runtime.message_text import did_you_mean
 
 from .objects import Object, checked_name, validate_body_name, validate_exactly_one
 

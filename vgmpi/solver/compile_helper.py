@@ -13,7 +13,7 @@ from collections.abc import Iterator
 
 from vgmpi.planning.plan import Plan
 from vgmpi.runtime.death_signal import die_with_parent
-from vgmpi.runtime.processor_cores import physical_cores
+from vgmpi.runtime.process_limits import physical_cores
 
 MOST = 3  # processes beside the run: a few kernels take most of the time
 PROGRAM = sys.executable, "-m", "vgmpi.solver.compile_helper"

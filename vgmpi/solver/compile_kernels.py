@@ -16,10 +16,9 @@ from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.halo_exchange import FieldMessage
 from vgmpi.planning.particle_channels import SURFACE
 from vgmpi.planning.plan import Plan
-from vgmpi.runtime.compile_lock import ON_EVERY_RANK
-from vgmpi.runtime.compiled_marker import compiled_marker
+from vgmpi.runtime.cache_files import ON_EVERY_RANK
+from vgmpi.runtime.compiled_kernels import compiled_marker, is_begun, precompiled_entry
 from vgmpi.runtime.cpu_features import processor
-from vgmpi.runtime.fast_dispatch import is_begun, precompiled_entry
 from vgmpi.solver.diagnostics.conservation import body_momentum, conservation_rows
 
 from .compile_helper import count_helpers, helpers_of

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.runtime.processor_cores import available_cores
+from vgmpi.runtime.process_limits import available_cores
 from vgmpi.scene.scene import Scene
 
 from .engine_registry import CARD, ENGINES

@@ -6,7 +6,7 @@ Each study is a module with its own flags: python -m tests.benchmarks.paper NAME
 import importlib
 import sys
 
-from vgmpi.runtime.exit_handler import exit_code_from_exceptions
+from vgmpi.runtime.command_line import exit_code_from_exceptions
 
 # name: (module with main(flags), description)
 STUDIES = {

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from vgmpi.materials import registry
-from vgmpi.runtime.atomic_write import replace_file
-from vgmpi.runtime.exit_handler import exit_code_from_exceptions
+from vgmpi.runtime.command_line import exit_code_from_exceptions
+from vgmpi.runtime.user_files import replace_file
 from vgmpi.runtime.versions import versions
 
 from . import gpu, interleaved_rounds, result_tables, roofline

@@ -17,7 +17,7 @@ from vgmpi.materials import registry
 from vgmpi.materials.material import Material, law_function
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.preprocess.scene_builder import build_scene
-from vgmpi.runtime.argument_parser import EXIT_USAGE
+from vgmpi.runtime.command_line import EXIT_USAGE
 from vgmpi.scene.loader import load
 from vgmpi.scene.scene import Scene
 from vgmpi.solver.initial_particles import preparation_hash

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vgmpi.runtime.argument_parser import EXIT_USAGE
+from vgmpi.runtime.command_line import EXIT_USAGE
 
 from . import interleaved_rounds
 from .benchmark_case import BenchError, Case, lay_out

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from vgmpi.runtime.argument_parser import EXIT_USAGE, ArgumentParser
+from vgmpi.runtime.command_line import EXIT_USAGE, ArgumentParser
 from vgmpi.runtime.config.schema import SceneError
 
 from .benchmark_case import BenchError

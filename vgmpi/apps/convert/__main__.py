@@ -4,9 +4,8 @@ import argparse
 import sys
 from pathlib import Path
 
-from vgmpi.runtime.argument_parser import ArgumentParser
-from vgmpi.runtime.atomic_write import replace_file
-from vgmpi.runtime.exit_handler import exit_code_from_exceptions, report_file_error
+from vgmpi.runtime.command_line import ArgumentParser, exit_code_from_exceptions, report_file_error
+from vgmpi.runtime.user_files import replace_file
 
 WRONG = 2
 

@@ -8,8 +8,8 @@ from pydantic import ValidationError
 
 from vgmpi.runtime.config.schema import format_input, format_validation_errors
 from vgmpi.runtime.config.toml_source import escape_control_characters
-from vgmpi.runtime.safe_open import MAX_TEXT_BYTES, read_regular_file
-from vgmpi.runtime.suggestions import did_you_mean
+from vgmpi.runtime.message_text import did_you_mean
+from vgmpi.runtime.user_files import MAX_TEXT_BYTES, read_regular_file
 
 from . import source_schema
 

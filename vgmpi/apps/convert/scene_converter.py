@@ -8,7 +8,7 @@ import numpy as np
 
 from vgmpi import materials
 from vgmpi.runtime.config import toml_writer
-from vgmpi.runtime.suggestions import did_you_mean
+from vgmpi.runtime.message_text import did_you_mean
 
 from . import material_mapping, source_schema
 from .body_pose import BodyPose, body_pose, find_file

@@ -15,10 +15,9 @@ from vgmpi.apps.tradeoff.study_runs import StudyError
 from vgmpi.io.run_lock import file_lock
 from vgmpi.io.run_reader import RunError
 from vgmpi.rendering.image_io import VideoError
-from vgmpi.runtime.argument_parser import ArgumentParser
-from vgmpi.runtime.atomic_write import replace_file
+from vgmpi.runtime.command_line import ArgumentParser, exit_code_from_exceptions, usage_error_code
 from vgmpi.runtime.config.schema import TomlError
-from vgmpi.runtime.exit_handler import exit_code_from_exceptions, usage_error_code
+from vgmpi.runtime.user_files import replace_file
 from vgmpi.scene.loader import load
 
 from . import comparison_video, fit_report

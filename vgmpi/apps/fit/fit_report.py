@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from vgmpi.runtime.atomic_write import replace_file
 from vgmpi.runtime.config import toml_writer
 from vgmpi.runtime.config.toml_source import TomlSource
+from vgmpi.runtime.user_files import replace_file
 
 from .evaluations import Evaluation, Evaluations
 from .fit_config import FitFile

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from vgmpi.apps.tradeoff.parameter_sweep import Setting
-from vgmpi.runtime.suggestions import did_you_mean
+from vgmpi.runtime.message_text import did_you_mean
 from vgmpi.scene.scene import Scene
 
 

@@ -24,8 +24,8 @@ from vgmpi.io.hdf5_writer import StoreError, replace_text
 from vgmpi.io.run_lock import RunFolderInUseError, file_lock
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.planning.cost.tradeoff_results import fingerprint
+from vgmpi.runtime.command_line import DENIED, FULL
 from vgmpi.runtime.config.schema import SceneError
-from vgmpi.runtime.exit_handler import DENIED, FULL
 from vgmpi.scene.loader import load
 from vgmpi.scene.scene import Scene
 from vgmpi.solver.run import BLEW_UP, DONE

@@ -6,7 +6,7 @@ import numpy as np
 
 from vgmpi.apps.tradeoff.error_measures import RunOutcome
 from vgmpi.io.run_reader import RunError
-from vgmpi.runtime.suggestions import did_you_mean
+from vgmpi.runtime.message_text import did_you_mean
 
 from .fit_config import FitFile
 from .run_renderer import MAX_DISPLAY_SIZE, Pictures

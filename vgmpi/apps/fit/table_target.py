@@ -9,8 +9,8 @@ import numpy as np
 from vgmpi.apps.tradeoff.error_measures import AXIS
 from vgmpi.io import csv_log, file_layout
 from vgmpi.io.run_reader import RunError
-from vgmpi.runtime import safe_open
-from vgmpi.runtime.suggestions import did_you_mean
+from vgmpi.runtime import user_files
+from vgmpi.runtime.message_text import did_you_mean
 from vgmpi.solver.diagnostics.probe_sampling import files
 
 from .fit_config import FitFile, FitFileError
@@ -59,7 +59,7 @@ class TableTarget(Target):
         """Return the header and the selected rows with their line numbers."""
         settings = self.file.settings.target
         try:
-            text = safe_open.read_regular_file(self.path, safe_open.MAX_TEXT_BYTES).decode()
+            text = user_files.read_regular_file(self.path, user_files.MAX_TEXT_BYTES).decode()
         except (OSError, UnicodeDecodeError) as error:
             message = getattr(error, "strerror", None) or "not UTF-8 text"
             raise self.file.wrong(

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from vgmpi.runtime import safe_open
-from vgmpi.runtime.suggestions import did_you_mean_file
+from vgmpi.runtime import user_files
+from vgmpi.runtime.message_text import did_you_mean_file
 
 ASPECT_TOLERANCE = 0.02  # [-] relative difference of aspect ratios that is accepted
 MAX_PICTURES = 10_000  # a video with more pictures is refused
@@ -29,7 +29,7 @@ def pictures_in(path: Path) -> Iterator[np.ndarray]:
             raise ValueError("is a folder without .png")
         for name in names:
             try:
-                yield _to_rgb(safe_open.read_image(name))
+                yield _to_rgb(user_files.read_image(name))
             except ValueError as error:
                 raise ValueError(f"{name.name}: {error}") from None
         return

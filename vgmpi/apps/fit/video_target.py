@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
-from vgmpi.runtime import memory_budget
+from vgmpi.runtime import process_limits
 
 from .fit_config import FitFile
 from .run_renderer import MAX_DISPLAY_SIZE, Pictures
@@ -64,10 +64,10 @@ class VideoTarget(Target):
         ]
         memory = file.settings.method.max_runs * sum(map(len, self.values)) * np.float32().itemsize
         try:
-            memory_budget.require_memory(
+            process_limits.require_memory(
                 memory, f"{file.settings.method.max_runs} runs of such pictures take"
             )
-        except memory_budget.InsufficientMemoryError as error:
+        except process_limits.InsufficientMemoryError as error:
             raise file.wrong(("target", "pixels"), f"{error}; got {settings.pixels}") from None
         # the stages are evaluated one after the other, and share the images of a run
         self.raw = functools.lru_cache(8)(

@@ -8,8 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from vgmpi.runtime.argument_parser import ArgumentParser
-from vgmpi.runtime.exit_handler import exit_code_from_exceptions, report_file_error
+from vgmpi.runtime.command_line import ArgumentParser, exit_code_from_exceptions, report_file_error
 
 EXIT_USAGE = 2
 

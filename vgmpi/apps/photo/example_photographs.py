@@ -6,8 +6,8 @@ Three photographs are those of scikit-image, which is an extra; three are drawn.
 import io
 from pathlib import Path
 
-from vgmpi.runtime.atomic_write import replace_file
-from vgmpi.runtime.suggestions import did_you_mean
+from vgmpi.runtime.message_text import did_you_mean
+from vgmpi.runtime.user_files import replace_file
 
 from .layout_config import LayoutError
 from .photograph import PhotographError

@@ -20,9 +20,9 @@ from typing import NamedTuple
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import registry
 from vgmpi.gaussians.formats.validation import GaussianFileError
-from vgmpi.runtime.atomic_write import replace_file
 from vgmpi.runtime.death_signal import die_with_parent
-from vgmpi.runtime.suggestions import did_you_mean_file
+from vgmpi.runtime.message_text import did_you_mean_file
+from vgmpi.runtime.user_files import replace_file
 
 from .layout_config import BodiesTable
 

@@ -15,7 +15,7 @@ from vgmpi.runtime.config.schema import (
     parse_vector3,
 )
 from vgmpi.runtime.config.toml_source import TomlSource
-from vgmpi.runtime.suggestions import did_you_mean
+from vgmpi.runtime.message_text import did_you_mean
 from vgmpi.scene.objects import checked_name
 
 from .mask_to_mesh import Reconstruction

@@ -7,7 +7,7 @@ import re
 from typing import Any, NamedTuple
 
 from vgmpi import materials
-from vgmpi.runtime.suggestions import did_you_mean
+from vgmpi.runtime.message_text import did_you_mean
 
 Keys = dict[str, Any]
 FALLBACK = "rubber"

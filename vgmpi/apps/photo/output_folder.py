@@ -10,8 +10,8 @@ import numpy as np
 
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import ply
-from vgmpi.runtime.atomic_write import replace_file
 from vgmpi.runtime.config.toml_source import escape_control_characters
+from vgmpi.runtime.user_files import replace_file
 
 from .layout_config import LayoutError
 from .scene_writer import is_unchanged

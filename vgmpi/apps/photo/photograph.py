@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vgmpi.runtime.safe_open import read_image
+from vgmpi.runtime.user_files import read_image
 
 MAX_SIDE = 1280  # [pixels] larger photographs are reduced to this longer side
 MIN_SIDE = 32  # [pixels] smallest shorter side

@@ -10,9 +10,9 @@ from pathlib import Path
 from vgmpi.io import checkpoint, file_layout, hdf5_writer, run_lock, run_reader
 from vgmpi.parallel.communicator import SerialCommunicator, init_communicator
 from vgmpi.planning.plan import FLOAT_TYPES
-from vgmpi.runtime import memory_budget
-from vgmpi.runtime.argument_parser import EXIT_USAGE
-from vgmpi.runtime.compile_lock import ON_EVERY_RANK
+from vgmpi.runtime import process_limits
+from vgmpi.runtime.cache_files import ON_EVERY_RANK
+from vgmpi.runtime.command_line import EXIT_USAGE
 from vgmpi.runtime.config.schema import SceneError
 from vgmpi.scene.loader import load
 from vgmpi.scene.scene import Scene
@@ -148,7 +148,7 @@ def _calibrate(ranks: SerialCommunicator) -> int:
 def memory_refusal(needed: int, ranks: SerialCommunicator) -> str:
     """Return one line if the run needs more than 90 % of the machine's free memory, else ""."""
     share = needed * ranks.here / ranks.size
-    available = memory_budget.available_memory()
+    available = process_limits.available_memory()
     if available and share > 0.9 * available:
         return (
             f"needs about {share / 2**30:.1f} GiB on this machine, which has"

@@ -4,7 +4,7 @@ import argparse
 import re
 from pathlib import Path
 
-from vgmpi.runtime.argument_parser import ArgumentParser
+from vgmpi.runtime.command_line import ArgumentParser
 
 EXIT_CODES = """exit codes: 0 done, 1 unexpected error or a full disk, 2 something in the scene or
 the flags is wrong or the output is read-only, 3 the simulation blew up (what was written before

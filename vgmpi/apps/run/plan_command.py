@@ -6,7 +6,7 @@ from pathlib import Path
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.launch import launched_by
 from vgmpi.planning.cost.plan_report import format_plan
-from vgmpi.runtime.processor_cores import physical_cores
+from vgmpi.runtime.process_limits import physical_cores
 from vgmpi.scene.resume_rules import with_accuracy_of_run
 from vgmpi.scene.scene import Scene
 from vgmpi.solver import initial_particles

@@ -12,7 +12,7 @@ from vgmpi.planning.cost.run_estimate import predicted_seconds
 from vgmpi.planning.cost.throughput import ASSUMED_THROUGHPUT, Throughput
 from vgmpi.planning.plan import Plan
 from vgmpi.runtime.config.schema import SceneError
-from vgmpi.runtime.duration_text import format_duration
+from vgmpi.runtime.message_text import format_duration
 from vgmpi.scene.scene import Scene
 from vgmpi.solver import run as runs
 from vgmpi.solver.diagnostics import progress as report

@@ -9,9 +9,9 @@ import math
 import os
 
 from vgmpi.parallel.launch import launched_by
-from vgmpi.runtime.argument_parser import EXIT_USAGE
+from vgmpi.runtime.command_line import EXIT_USAGE
 from vgmpi.runtime.config.schema import SceneError
-from vgmpi.runtime.processor_cores import FreeCores, physical_cores
+from vgmpi.runtime.process_limits import FreeCores, physical_cores
 from vgmpi.scene.loader import load
 
 from . import cli, rank_supervisor

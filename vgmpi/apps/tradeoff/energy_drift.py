@@ -17,9 +17,9 @@ import numpy as np
 from vgmpi.io import csv_log, file_layout
 from vgmpi.io.run_reader import RunError
 from vgmpi.planning.cost.tradeoff_results import FOLDER
-from vgmpi.runtime.argument_parser import ArgumentParser
-from vgmpi.runtime.atomic_write import replace_file
+from vgmpi.runtime.command_line import ArgumentParser
 from vgmpi.runtime.config.schema import SceneError
+from vgmpi.runtime.user_files import replace_file
 from vgmpi.scene.loader import load
 
 from .parameter_sweep import BASELINE, Setting

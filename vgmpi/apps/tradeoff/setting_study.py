@@ -16,11 +16,11 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from vgmpi.planning.cost.tradeoff_results import FOLDER, TABLE
-from vgmpi.runtime.argument_parser import ArgumentParser
-from vgmpi.runtime.atomic_write import replace_file
+from vgmpi.runtime.command_line import ArgumentParser
 from vgmpi.runtime.config import toml_writer
 from vgmpi.runtime.config.schema import Quantity, SceneError
 from vgmpi.runtime.config.toml_source import TomlSource
+from vgmpi.runtime.user_files import replace_file
 from vgmpi.scene.loader import load
 from vgmpi.scene.scene import Scene
 

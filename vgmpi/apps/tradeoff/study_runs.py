@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from vgmpi.parallel.launch import OPEN_MPI
 from vgmpi.planning.cost.tradeoff_results import fingerprint
-from vgmpi.runtime.atomic_write import replace_file
+from vgmpi.runtime.user_files import replace_file
 from vgmpi.scene.scene import Scene
 from vgmpi.solver.diagnostics.probe_sampling import files
 

@@ -5,7 +5,7 @@ import io
 from pathlib import Path
 
 from vgmpi.planning.cost.tradeoff_results import COLUMNS, fingerprint
-from vgmpi.runtime.atomic_write import replace_file
+from vgmpi.runtime.user_files import replace_file
 from vgmpi.scene.scene import Scene
 
 from .cost_error_model import CostError, pareto_front

@@ -12,7 +12,7 @@ import numpy as np
 
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.coordinate_frames import to_ply_frame
-from vgmpi.runtime.atomic_write import replace_file
+from vgmpi.runtime.user_files import replace_file
 
 from .gltf_container import BYTE, FLOAT, TYPES
 from .gltf_reader import FRAME, NAME, SRGB, read

@@ -13,7 +13,7 @@ import numpy as np
 from vgmpi.gaussians.capture_record import CaptureRecord
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.spherical_harmonics import degree_omissions
-from vgmpi.runtime.atomic_write import replace_file
+from vgmpi.runtime.user_files import replace_file
 
 from . import ply_columns, ply_compressed
 from .ply_header import ENCODINGS, Header, find_render_model, read_header, select_comments

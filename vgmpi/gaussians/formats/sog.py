@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from vgmpi.gaussians.cloud import GaussianCloud
-from vgmpi.runtime.atomic_write import replace_file
+from vgmpi.runtime.user_files import replace_file
 
 from .residual_coding import morton_order
 from .sog_reader import read

@@ -13,7 +13,7 @@ import numpy as np
 from vgmpi.gaussians.capture_record import CaptureRecord
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
-from vgmpi.runtime.atomic_write import replace_file
+from vgmpi.runtime.user_files import replace_file
 
 from .validation import Columns, GaussianFileError, naming_file, read_validated
 from .value_doubts import add_doubts

@@ -15,7 +15,7 @@ from vgmpi.gaussians.capture_record import CaptureRecord
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.coordinate_frames import PLY_FRAME
 from vgmpi.gaussians.spherical_harmonics import COEFFICIENTS, degree_omissions, limit_degree
-from vgmpi.runtime.atomic_write import replace_file
+from vgmpi.runtime.user_files import replace_file
 
 from .spz_container import (
     ANTIALIASED,

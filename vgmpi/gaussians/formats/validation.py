@@ -15,7 +15,7 @@ import numpy as np
 
 from vgmpi.gaussians.capture_record import CaptureRecord
 from vgmpi.gaussians.cloud import GaussianCloud
-from vgmpi.runtime import memory_budget
+from vgmpi.runtime import process_limits
 
 log = logging.getLogger("vgmpi")
 
@@ -140,10 +140,10 @@ def _check_memory(count: int, sample: Iterable[np.ndarray]) -> None:
     """
     row_bytes = sum(column[0].nbytes for column in sample)
     try:
-        memory_budget.require_memory(
+        process_limits.require_memory(
             2 * (1 - _BROKEN_LIMIT) * count * row_bytes, f"its {count:,} Gaussians take at least"
         )
-    except memory_budget.InsufficientMemoryError as error:
+    except process_limits.InsufficientMemoryError as error:
         raise GaussianFileError(str(error)) from None
 
 

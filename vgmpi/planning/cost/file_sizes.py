@@ -2,7 +2,7 @@
 
 from vgmpi.planning.plan import Plan
 from vgmpi.planning.region_groups import group_counts
-from vgmpi.runtime.memory_budget import format_bytes
+from vgmpi.runtime.process_limits import format_bytes
 from vgmpi.scene.scene import Scene
 
 # [bytes] of a particle in a frame: number, position, object, velocity field, and VTK's tables

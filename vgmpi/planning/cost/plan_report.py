@@ -8,7 +8,7 @@ import math
 from vgmpi.planning.implicit_pressure_rules import suits_implicit_pressure
 from vgmpi.planning.plan import Plan, time_step_bounds
 from vgmpi.runtime.config.toml_source import escape_control_characters
-from vgmpi.runtime.duration_text import format_duration
+from vgmpi.runtime.message_text import format_duration
 from vgmpi.scene.scene import Scene
 
 from . import tradeoff_results

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vgmpi.runtime import memory_budget
+from vgmpi.runtime import process_limits
 
 from .triangle_mesh import COLOR_NAMES, Mesh, unit_colors
 
@@ -51,7 +51,7 @@ def _read_arrays(path: Path, content: str) -> dict[str, np.ndarray]:
     """Return the arrays that the program reads; content: "triangles" or "points"."""
     size = path.stat().st_size
     allowance = max(_FREE_BYTES, MAX_RATIO * size)
-    available = memory_budget.available_memory(swap=True)
+    available = process_limits.available_memory(swap=True)
     allowance = min(allowance, available) if available else allowance
     command = [sys.executable, "-P", str(_PROGRAM), str(path.resolve()), str(allowance)]
     command.append(content)
@@ -67,7 +67,7 @@ def _read_arrays(path: Path, content: str) -> dict[str, np.ndarray]:
     if job.returncode != 0:
         raise ValueError(
             f"its reader ended by {_cause(job.returncode)}: the file is damaged, or takes more"
-            f" than {memory_budget.format_bytes(allowance)} of memory"
+            f" than {process_limits.format_bytes(allowance)} of memory"
         )
     with np.load(io.BytesIO(job.stdout), allow_pickle=False) as arrays:
         return {name: arrays[name] for name in arrays.files}

@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 from scipy.sparse.csgraph import connected_components
 
-from vgmpi.runtime import memory_budget
+from vgmpi.runtime import process_limits
 
 from .triangle_mesh import Mesh
 
@@ -178,7 +178,7 @@ def _joined_points(mesh: Mesh) -> np.ndarray:
     extent = float(np.ptp(x, axis=0).max())
     tree = scipy.spatial.cKDTree(mesh.points[point_at[rim]] / extent)
     count = int(tree.count_neighbors(tree, _SEAM)) // 2
-    memory_budget.require_memory(
+    process_limits.require_memory(
         _BYTES_PER_PAIR * count, f"{count:,} pairs of points that coincide take at least"
     )
     pairs = tree.query_pairs(_SEAM, output_type="ndarray")

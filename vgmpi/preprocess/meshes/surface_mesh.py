@@ -9,7 +9,7 @@ import scipy
 
 from vgmpi.gaussians.cloud import GaussianCloud, rotation_matrices
 from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
-from vgmpi.runtime import memory_budget
+from vgmpi.runtime import process_limits
 from vgmpi.runtime.config.toml_source import escape_control_characters, truncate
 
 from .bounded_reader import SUFFIXES, read_by_library
@@ -44,7 +44,7 @@ def read(path: Path) -> Mesh:
     if path.suffix.lower() not in FORMATS:
         raise MeshError(f"{path}: cannot be read as a mesh: allowed are {', '.join(FORMATS)}")
     try:
-        memory_budget.require_memory(
+        process_limits.require_memory(
             _EXPANSION * path.stat().st_size, f"its {path.stat().st_size:,} bytes take at least"
         )
         mesh = _READERS[path.suffix.lower()](path)
@@ -93,7 +93,7 @@ def sample(
         raise MeshError(f"its triangles have an area of {area:.3g} m2: they are lines or points")
     count = max(min_count, area / (spacing / 2) ** 2)
     message = f"{count:.3g} Gaussians, {spacing / 2:g} m apart on a surface of {area:.3g} m2, take"
-    memory_budget.require_memory(
+    process_limits.require_memory(
         _BYTES_PER_CANDIDATE * _CANDIDATES_PER_POINT * count, f"{message} at least"
     )
     count = int(count)

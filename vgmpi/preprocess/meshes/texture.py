@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vgmpi.runtime.safe_open import MAX_TEXT_BYTES, read_image, read_regular_file
+from vgmpi.runtime.user_files import MAX_TEXT_BYTES, read_image, read_regular_file
 
 
 class TextureError(ValueError):

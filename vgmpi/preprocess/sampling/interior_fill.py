@@ -9,7 +9,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from vgmpi.gaussians.cloud import GaussianCloud
-from vgmpi.runtime import memory_budget
+from vgmpi.runtime import process_limits
 
 from .voxels import BYTES_NEIGHBORS, Voxels, covered_voxels
 
@@ -88,7 +88,7 @@ def interior(
         )
     try:
         voxels.afford(BYTES_NEIGHBORS)  # the largest need: the volume fractions
-    except memory_budget.InsufficientMemoryError as error:
+    except process_limits.InsufficientMemoryError as error:
         raise VoxelGridTooLargeError(f"{error}: {_ADVICE}") from None
     surface = covered_voxels(cloud, voxels)
     closed = scipy.ndimage.binary_fill_holes(surface) & ~surface

@@ -7,7 +7,7 @@ import numpy as np
 import scipy
 
 from vgmpi.gaussians.cloud import GaussianCloud, rotation_matrices
-from vgmpi.runtime import memory_budget
+from vgmpi.runtime import process_limits
 
 COVERED = 0.3  # [-] summed opacity from which a voxel counts as part of a surface
 # [bytes] per voxel, at least, for fractions by counts and by neighbors, and for distances
@@ -43,7 +43,7 @@ class Voxels:
         """Raise InsufficientMemoryError if `bytes_each` bytes for every voxel exceed the memory."""
         size = " x ".join(map(str, self.shape))
         needed = bytes_each * float(np.prod(np.array(self.shape, dtype=float)))
-        memory_budget.require_memory(
+        process_limits.require_memory(
             needed, f"its box of {size} voxels of {self.spacing:g} m takes at least"
         )
 

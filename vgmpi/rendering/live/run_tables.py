@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vgmpi.io import csv_log, file_layout
-from vgmpi.runtime import safe_open
+from vgmpi.runtime import user_files
 
 MAX_POINTS = 1000  # of a curve; more are thinned out
 MAX_CURVES = 6
@@ -114,7 +114,7 @@ def _thinned(plot: Plot) -> Plot:
 def _header(path: Path) -> list[str] | None:
     """Return the columns of a table, None if it cannot be read."""
     try:
-        text = safe_open.read_regular_file(path, csv_log.MAX_BYTES, follow=False)
+        text = user_files.read_regular_file(path, csv_log.MAX_BYTES, follow=False)
     except OSError:
         return None
     return text.split(b"\n", 1)[0].decode(errors="replace").split(",")

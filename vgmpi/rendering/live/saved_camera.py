@@ -10,8 +10,8 @@ from pydantic import ValidationError
 
 from vgmpi.rendering import render_config
 from vgmpi.rendering.render_config import CAMERA_KEYS, CameraSettings, SettingsError
-from vgmpi.runtime import safe_open
-from vgmpi.runtime.atomic_write import replace_file
+from vgmpi.runtime import user_files
+from vgmpi.runtime.user_files import replace_file
 
 CAMERA_NAME = "live"  # of the saved camera beside other cameras
 DIGITS = 6  # significant digits of saved numbers
@@ -89,8 +89,8 @@ def save_camera(path: Path, view: View) -> str:
         exists = path.exists()
         if exists:
             render_config.load(path)  # a wrong file is left as it is
-        limit = safe_open.MAX_TEXT_BYTES
-        text = safe_open.read_regular_file(path, limit).decode() if exists else ""
+        limit = user_files.MAX_TEXT_BYTES
+        text = user_files.read_regular_file(path, limit).decode() if exists else ""
         document = tomlkit.parse(text)
         _set_camera(document, view)
         new_text = tomlkit.dumps(document)

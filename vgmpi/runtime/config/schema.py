@@ -16,7 +16,7 @@ from typing import Annotated, Any, TypeVar, get_args
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Strict, ValidationError
 from pydantic_core import core_schema
 
-from vgmpi.runtime.suggestions import did_you_mean
+from vgmpi.runtime.message_text import did_you_mean
 
 Kind = TypeVar("Kind", bound=type[BaseModel])
 

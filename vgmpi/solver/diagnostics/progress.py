@@ -12,7 +12,7 @@ import numpy as np
 from tqdm import tqdm
 
 from vgmpi.io import hdf5_writer
-from vgmpi.runtime.duration_text import format_duration
+from vgmpi.runtime.message_text import format_duration
 from vgmpi.solver.run import Runner
 from vgmpi.solver.simulation import Simulation
 

@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from vgmpi.runtime.fast_dispatch import precompiled_entry
+from vgmpi.runtime.compiled_kernels import precompiled_entry
 
 
 class KernelCaller:

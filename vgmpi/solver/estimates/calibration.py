@@ -18,8 +18,9 @@ from vgmpi.io.hdf5_writer import replace_text
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.planning.cost.throughput import ASSUMED_THROUGHPUT, Throughput
 from vgmpi.planning.plan import Plan, make_plan
-from vgmpi.runtime.cpu_features import model, user_folder
-from vgmpi.runtime.safe_open import MAX_TEXT_BYTES, read_regular_file
+from vgmpi.runtime.cache_files import user_folder
+from vgmpi.runtime.cpu_features import model
+from vgmpi.runtime.user_files import MAX_TEXT_BYTES, read_regular_file
 from vgmpi.scene.loader import load
 from vgmpi.solver.compile_kernels import compile_kernels
 from vgmpi.solver.simulation import Simulation

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from vgmpi.runtime.suggestions import did_you_mean
+from vgmpi.runtime.message_text import did_you_mean
 
 # names of the arrays of a run, as in its files, and those that the solver has for them
 ARRAYS = {

@@ -10,7 +10,7 @@ import venv
 from pathlib import Path
 from typing import Any
 
-from vgmpi.runtime.atomic_write import replace_file
+from vgmpi.runtime.user_files import replace_file
 
 from ..benchmark_case import BenchError, WorkerError
 from ..subcommands import print_progress

@@ -19,8 +19,8 @@ from vgmpi.apps.fit.run_renderer import Pictures
 from vgmpi.apps.fit.target_base import Target
 from vgmpi.apps.fit.video_reader import same_aspect
 from vgmpi.apps.tradeoff.study_runs import StudyError
-from vgmpi.runtime import memory_budget, safe_open
-from vgmpi.runtime.atomic_write import replace_file
+from vgmpi.runtime import process_limits, user_files
+from vgmpi.runtime.user_files import replace_file
 
 from . import score_distillation
 from .model_base import VideoModel, kind_of
@@ -114,7 +114,7 @@ class DenoisingTarget(Target):
 
         path = self.file.folder / str(self.options.image)
         try:
-            raw = np.atleast_3d(safe_open.read_image(path))
+            raw = np.atleast_3d(user_files.read_image(path))
             if raw.dtype != np.uint8 or raw.shape[2] not in (1, 3, 4):
                 raise ValueError("neither a grey nor a color picture of 8 bits")
             if not same_aspect(raw.shape[1::-1], self.size):
@@ -133,13 +133,13 @@ class DenoisingTarget(Target):
         what = f"{self.kind.denoiser} in {self.options.precision} takes about"
         try:
             if _device(self.options) == "cpu":
-                memory_budget.require_memory(required, what)
+                process_limits.require_memory(required, what)
             else:
                 _check_gpu_memory(required, what)
-        except memory_budget.InsufficientMemoryError as error:
+        except process_limits.InsufficientMemoryError as error:
             raise self.file.wrong(("sds", "model"), str(error)) from None
         frames_text = f"{len(self.numbers)} frames of {_size_text(self.size)} pixels"
-        memory = memory_budget.format_bytes(required)
+        memory = process_limits.format_bytes(required)
         return f"{what} {memory} of memory on {_device(self.options)}, for {frames_text}"
 
     @functools.cached_property
@@ -325,7 +325,7 @@ def _check_gpu_memory(required: float, what: str) -> None:
 
     free = torch.cuda.mem_get_info()[0] if _has_gpu() else 0
     if required > free:
-        raise memory_budget.InsufficientMemoryError(
-            f"{what} {memory_budget.format_bytes(required)};"
-            f" {memory_budget.format_bytes(free)} are free on the card"
+        raise process_limits.InsufficientMemoryError(
+            f"{what} {process_limits.format_bytes(required)};"
+            f" {process_limits.format_bytes(free)} are free on the card"
         )

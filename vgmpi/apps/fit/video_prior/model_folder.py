@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from vgmpi.runtime import safe_open
-from vgmpi.runtime.suggestions import did_you_mean_file
+from vgmpi.runtime import user_files
+from vgmpi.runtime.message_text import did_you_mean_file
 
 INDEX = "model_index.json"
 MAX_HEADER_BYTES = 100 << 20  # [bytes] largest header of a .safetensors file in its specification
@@ -112,7 +112,7 @@ def _table(path: Path) -> dict[str, Any]:
     """Read a JSON object. Raises ModelError."""
     where = f"{path.parent.name}/{path.name}"
     try:
-        table = json.loads(safe_open.read_regular_file(path, safe_open.MAX_TEXT_BYTES))
+        table = json.loads(user_files.read_regular_file(path, user_files.MAX_TEXT_BYTES))
     except OSError as error:
         raise ModelError(f"{where}: {error.strerror}") from None
     except ValueError:

@@ -12,8 +12,8 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, ValidationError
 
-from vgmpi.runtime.atomic_write import replace_file
 from vgmpi.runtime.config.schema import StrictModel, format_validation_errors
+from vgmpi.runtime.user_files import replace_file
 
 from .. import box_proposals, grabcut, layout_text, learned_models, object_masks
 from .. import layout_config as layouts

@@ -9,7 +9,7 @@ from numba import cuda
 
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.planning.plan import Plan
-from vgmpi.runtime.memory_budget import format_bytes
+from vgmpi.runtime.process_limits import format_bytes
 
 from . import device_memory
 from .kernel_launch import LAST

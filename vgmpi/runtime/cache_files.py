@@ -1,7 +1,8 @@
-"""Locks by which processes compile nothing twice: one compiles, the others wait for its file.
+"""Folder of caches, which the program can always create again, and locks on the files in it.
 
-A process that ends, in whatever way, releases its locks. Where a file system has no locks, or a
-process holds one for too long, the others compile for themselves.
+By the locks processes compile nothing twice: one compiles, the others wait for its file. A process
+that ends, in whatever way, releases its locks. Where a file system has no locks, or a process holds
+one for too long, the others compile for themselves.
 """
 
 import contextlib
@@ -10,6 +11,13 @@ import logging
 import os
 import time
 from pathlib import Path
+
+
+def user_folder() -> Path:
+    """Return the folder for files that this program can always create again."""
+    root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(root) / "vgmpi"
+
 
 log = logging.getLogger("vgmpi")
 

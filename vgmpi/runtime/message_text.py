@@ -1,4 +1,4 @@
-"""Suggestions for a misspelled word or file name."""
+"""Texts of messages: suggestions for a misspelled word or file name, and durations."""
 
 import difflib
 import itertools
@@ -27,3 +27,14 @@ def did_you_mean_file(missing: Path) -> str:
             continue  # this folder is misspelled too, or not readable
         return did_you_mean(missing.relative_to(above).parts[0], names)
     return ""
+
+
+def format_duration(seconds: float) -> str:
+    """Format a duration [s] for display."""
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    if seconds < 600:
+        return f"{seconds / 60:.1f} min"
+    if seconds < 7200:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h"

@@ -1,15 +1,20 @@
-"""Safe reading of user files: regular files of bounded size, and images of bounded cost."""
+"""Files of users: read with bounds, replaced whole or not at all.
 
+Reading takes regular files of bounded size, and images of bounded cost. Writing is done here alone.
+"""
+
+import contextlib
 import errno
 import os
+import secrets
 import stat
 import warnings
 from pathlib import Path
 
 import numpy as np
 
-from . import memory_budget
-from .suggestions import did_you_mean_file
+from . import process_limits
+from .message_text import did_you_mean_file
 
 MAX_TEXT_BYTES = 16 << 20  # [bytes] largest scene or settings file
 MAX_PIXELS = 1 << 26  # [pixels] largest image: 1.5 GB as numbers, as its reader needs
@@ -68,9 +73,50 @@ def read_image(path: str | Path) -> np.ndarray:
         if width * height > MAX_PIXELS:
             message = f"has {width:,} x {height:,} pixels"
             raise ValueError(f"{message}; at most {MAX_PIXELS:,} in all are read")
-        memory_budget.require_memory(
+        process_limits.require_memory(
             _PIXEL * width * height, f"its {width:,} x {height:,} pixels take at least"
         )
         return np.asarray(iio.imread(path, plugin="pillow"))
     except Exception as error:  # readers of image formats raise all kinds of errors
         raise ValueError((str(error).splitlines() or ["unreadable"])[0]) from None
+
+
+# a name that no other process chooses; a killed process may leave it behind
+TEMPORARY_NAME = "{name}.{token}.tmp"
+
+
+def replace_file(path: str | Path, *parts: bytes | str) -> None:
+    """Write a file under a temporary name, flush it to the disk, and rename it.
+
+    Whatever fails, the old file stays as it was, or no file is there if there was none. Several
+    processes may write the same file at the same time; the last one wins.
+
+    Args:
+        path: The file.
+        parts: Its content, one after the other; texts are encoded as UTF-8.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    path = Path(path)
+    temporary = path.with_name(TEMPORARY_NAME.format(name=path.name, token=secrets.token_hex(4)))
+    try:
+        with open(temporary, "xb") as file:  # exclusive creation follows no link
+            for part in parts:
+                file.write(part.encode() if isinstance(part, str) else part)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    sync_folder(path.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Flush a rename in a folder to the disk, where the file system can."""
+    with contextlib.suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)

@@ -1,15 +1,48 @@
-"""Exit codes of a command for everything that nobody foresaw."""
+"""What all commands share: flags with errors of one line, exit codes, output without control codes.
 
+Names in files (of COLMAP, glTF, .ply, materials, scenes) become parts of messages. Their control
+characters are written as escapes, here and nowhere else, since each command writes through it: no
+text from outside is an order to the terminal.
+"""
+
+import argparse
 import contextlib
 import errno
 import functools
 import io
 import os
+import re
 import sys
-from collections.abc import Callable
-from typing import Any, cast
+from collections.abc import Callable, Iterator
+from typing import Any, NoReturn, cast
 
-from .terminal_output import escaped_output
+from .message_text import did_you_mean
+
+EXIT_USAGE = 2
+_CHOICE = re.compile(r"invalid choice: '?(.*?)'? \(choose from (.*)\)", re.DOTALL)
+
+
+class ArgumentParser(argparse.ArgumentParser):
+    """argparse.ArgumentParser with errors of one line in place of the usage."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print what is wrong in one line and end the program with code 2."""
+        hint = self._hint(message)
+        line = " ".join(message.split())
+        sys.stderr.write(f"{self.prog}: {line}{hint}; {self.prog} --help lists the flags\n")
+        raise SystemExit(EXIT_USAGE)
+
+    def _hint(self, message: str) -> str:
+        """Return a suggestion for the first word that a message complains of, or ""."""
+        choice = _CHOICE.search(message)
+        if choice is not None:
+            return did_you_mean(choice[1], re.findall(r"[\w.-]+", choice[2]))
+        _, _, words = message.partition("unrecognized arguments: ")
+        first = words.split("=")[0].split()[:1]
+        if first and first[0].startswith("-"):
+            return did_you_mean(first[0], self._option_string_actions)
+        return ""
+
 
 BUG_REPORT_HINT = (
     "vgmpi: this is a fault of the program, not of what it was given: please report it with all"
@@ -106,3 +139,50 @@ def _stdout_is_full() -> bool:
 def _silence_stdout() -> None:
     """Discard the output that is left, of which Python would complain at its end."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+# C0 and C1 but for tab and newline, and what turns the direction of a line; a carriage return is of
+# a progress bar at the start of a text, and of a line's end before a newline
+_CONTROL = re.compile(
+    "[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]"
+    "|(?!^)\r(?!\n)"
+)
+
+
+class EscapingStream:
+    """Text stream whose control characters are written as escapes."""
+
+    def __init__(self, stream: Any):
+        """Write to another stream."""
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        """Return an attribute of the other stream."""
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        """Write a text; return its length."""
+        self._stream.write(_CONTROL.sub(_escape, text))
+        return len(text)
+
+    def writelines(self, lines: Any) -> None:
+        """Write texts."""
+        for line in lines:
+            self.write(line)
+
+
+def _escape(match: re.Match) -> str:
+    """Return the escape of a character."""
+    return match[0].encode("unicode_escape").decode()
+
+
+@contextlib.contextmanager
+def escaped_output() -> Iterator[None]:
+    """Let stdout and stderr escape control characters while the block runs."""
+    before = sys.stdout, sys.stderr
+    if not isinstance(sys.stdout, EscapingStream):
+        sys.stdout, sys.stderr = EscapingStream(before[0]), EscapingStream(before[1])
+    try:
+        yield
+    finally:
+        sys.stdout, sys.stderr = before
