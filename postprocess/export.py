@@ -17,10 +17,9 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
+from vgmpi.gaussians.capture_conventions import to_ply_frame, with_render_model
 from vgmpi.gaussians.cloud import GaussianCloud, principal_axes
-from vgmpi.gaussians.coordinate_frames import to_ply_frame
 from vgmpi.gaussians.formats import gltf, registry, sog, spz
-from vgmpi.gaussians.render_models import with_render_model
 from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.rendering import image_io, render_config
 from vgmpi.rendering.appearance import Appearance

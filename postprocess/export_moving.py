@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from vgmpi.gaussians.formats.motion_writer import MotionWriter
+from vgmpi.gaussians.formats.motion_stream import MotionWriter
 from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.rendering import image_io, render_config, usd_stage, web_page
 from vgmpi.rendering.appearance import Appearance

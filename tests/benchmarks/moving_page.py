@@ -23,9 +23,13 @@ from tests.support.headless_browser import FLAGS, find_chromium
 from vgmpi.gaussians import spherical_harmonics as harmonics
 from vgmpi.gaussians.camera import look_at
 from vgmpi.gaussians.cloud import rotation_matrices
-from vgmpi.gaussians.formats import motion_layout as layout
-from vgmpi.gaussians.formats.motion_layout import GroupState, MotionGroup, RestGaussians
-from vgmpi.gaussians.formats.motion_writer import MotionWriter
+from vgmpi.gaussians.formats import motion_stream as layout
+from vgmpi.gaussians.formats.motion_stream import (
+    GroupState,
+    MotionGroup,
+    MotionWriter,
+    RestGaussians,
+)
 from vgmpi.gaussians.formats.residual_coding import morton_order
 from vgmpi.io.run_reader import RunReader
 from vgmpi.rendering import render_config, web_page

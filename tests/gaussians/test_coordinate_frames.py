@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.gaussians.test_ply import cloud
-from vgmpi.gaussians import coordinate_frames as frames
-from vgmpi.gaussians.capture_notes import capture_notes
+from vgmpi.gaussians import capture_conventions as frames
+from vgmpi.gaussians.capture_conventions import capture_notes
 from vgmpi.gaussians.cloud import rotation_matrices, unpack_symmetric
 from vgmpi.gaussians.formats import ply, registry
 from vgmpi.gaussians.spherical_harmonics import evaluate

@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from tests.gaussians.test_glb import cloud
 from tests.support import splat_containers as made
+from vgmpi.gaussians.capture_conventions import to_ply_frame
 from vgmpi.gaussians.cloud import unpack_symmetric
-from vgmpi.gaussians.coordinate_frames import to_ply_frame
 from vgmpi.gaussians.formats import gltf, registry
 from vgmpi.gaussians.spherical_harmonics import dc_from_rgb, evaluate
 

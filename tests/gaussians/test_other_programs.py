@@ -33,7 +33,7 @@ from tests.support.splat_comparison import (
     steps_of_sog,
 )
 from vgmpi.gaussians.cloud import pack_symmetric, rotation_matrices, unpack_symmetric
-from vgmpi.gaussians.formats import motion_layout as layout
+from vgmpi.gaussians.formats import motion_stream as layout
 from vgmpi.gaussians.formats import registry
 from vgmpi.gaussians.spherical_harmonics import C0
 from vgmpi.rendering.usd_stage import UsdStage

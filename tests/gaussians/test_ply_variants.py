@@ -7,10 +7,9 @@ import pytest
 
 from tests.support import gaussian_files
 from tests.support.gaussian_files import columns, table
-from vgmpi.gaussians.capture_record import CaptureRecord
-from vgmpi.gaussians.cloud import GaussianCloud
+from vgmpi.gaussians.cloud import CaptureRecord, GaussianCloud
 from vgmpi.gaussians.formats import registry
-from vgmpi.gaussians.formats.ply_columns import apply_filter
+from vgmpi.gaussians.formats.ply import apply_filter
 from vgmpi.gaussians.formats.validation import read_validated
 from vgmpi.gaussians.spherical_harmonics import C0
 from vgmpi.preprocess.inspect_file import describe_file

@@ -8,7 +8,7 @@ import pytest
 
 from tests.support import splat_containers as made
 from vgmpi.gaussians.cloud import GaussianCloud
-from vgmpi.gaussians.formats import registry, sog_reader
+from vgmpi.gaussians.formats import registry, sog
 
 
 def cloud(n=300, terms=16, seed=1, **more):
@@ -191,4 +191,4 @@ def test_a_deflated_archive_and_png_pictures_are_read(tmp_path):
 def test_the_size_of_a_picture_is_known_from_its_header(lossless, alpha):
     picture = np.full((37, 1211, alpha), 9)
     picture[..., -1] = 100
-    assert sog_reader._webp_size(made.webp(picture, lossless)) == (1211, 37)
+    assert sog._webp_size(made.webp(picture, lossless)) == (1211, 37)

@@ -9,7 +9,7 @@ import zstandard
 
 from tests.gaussians.test_spz import PACK, ROW, moderate, save
 from tests.support import gaussian_files
-from vgmpi.gaussians.capture_notes import capture_notes
+from vgmpi.gaussians.capture_conventions import capture_notes
 from vgmpi.gaussians.formats import registry, spz
 
 FRAME = 0xADBE0003

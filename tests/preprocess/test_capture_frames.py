@@ -8,8 +8,8 @@ import pytest
 from tests.gaussians.test_spz import PACK, smallest_three
 from tests.support import gaussian_files
 from tests.support.small_scenes import scene
+from vgmpi.gaussians.capture_conventions import to_ply_frame
 from vgmpi.gaussians.cloud import GaussianCloud
-from vgmpi.gaussians.coordinate_frames import to_ply_frame
 from vgmpi.gaussians.formats import registry
 from vgmpi.preprocess import inspect_file
 from vgmpi.preprocess.meshes.surface_mesh import quaternion_to_normal

@@ -24,9 +24,9 @@ from tests.support.drawn_runs import on_paper
 from tests.support.picture_noise import psnr
 from tests.support.small_scenes import scene as load_scene
 from vgmpi.gaussians.camera import Camera
+from vgmpi.gaussians.capture_conventions import render_model, with_render_model
 from vgmpi.gaussians.cloud import unpack_symmetric
 from vgmpi.gaussians.formats import registry
-from vgmpi.gaussians.render_models import render_model, with_render_model
 from vgmpi.io import file_layout, hdf5_validation, integrity
 from vgmpi.io.run_reader import RunReader, inspect
 from vgmpi.preprocess.pruning import image_similarity

@@ -11,10 +11,14 @@ from tests.rendering.test_passive import AFFINE, RIDING, moved
 from tests.support import drawn_runs
 from tests.support.small_scenes import scene
 from vgmpi.gaussians import spherical_harmonics as harmonics
-from vgmpi.gaussians.formats import motion_layout as layout
-from vgmpi.gaussians.formats.motion_layout import GroupState, MotionGroup, RestGaussians
-from vgmpi.gaussians.formats.motion_reader import MotionReader
-from vgmpi.gaussians.formats.motion_writer import MotionWriter
+from vgmpi.gaussians.formats import motion_stream as layout
+from vgmpi.gaussians.formats.motion_stream import (
+    GroupState,
+    MotionGroup,
+    MotionReader,
+    MotionWriter,
+    RestGaussians,
+)
 from vgmpi.gaussians.formats.residual_coding import MAX_BIN, SEGMENT, CodedRows
 from vgmpi.gaussians.formats.validation import GaussianFileError
 from vgmpi.preprocess.scene_builder import build_scene

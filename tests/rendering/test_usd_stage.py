@@ -190,7 +190,7 @@ def test_removed_gaussians_are_transparent(tmp_path):
     """A Gaussian that is absent in a frame has no opacity there, and its own before."""
     from pxr import Usd
 
-    from vgmpi.gaussians.formats.motion_layout import GroupState, MotionGroup, RestGaussians
+    from vgmpi.gaussians.formats.motion_stream import GroupState, MotionGroup, RestGaussians
 
     x = np.arange(9.0).reshape(3, 3)
     root = np.tile([0.1, 0, 0, 0.1, 0, 0.1], (3, 1))

@@ -18,14 +18,14 @@ from tests.support.picture_noise import psnr
 from vgmpi.gaussians import spherical_harmonics as harmonics
 from vgmpi.gaussians.camera import look_at
 from vgmpi.gaussians.cloud import pack_symmetric, rotation_matrices, unpack_symmetric
-from vgmpi.gaussians.formats import motion_layout as layout
-from vgmpi.gaussians.formats.motion_layout import (
+from vgmpi.gaussians.formats import motion_stream as layout
+from vgmpi.gaussians.formats.motion_stream import (
     KEY_INTERVAL,
     GroupState,
     MotionGroup,
+    MotionWriter,
     RestGaussians,
 )
-from vgmpi.gaussians.formats.motion_writer import MotionWriter
 from vgmpi.gaussians.formats.residual_coding import SEGMENT, CodedRows
 from vgmpi.gaussians.formats.validation import GaussianFileError
 from vgmpi.io.run_reader import RunReader

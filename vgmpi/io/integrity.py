@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 
-from vgmpi.gaussians.render_models import COMPENSATED_LOWPASS
+from vgmpi.gaussians.capture_conventions import COMPENSATED_LOWPASS
 
 from . import checkpoint_manifest, file_layout, hdf5_validation
 from .hdf5_validation import CorruptFileError

@@ -5,10 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from vgmpi.gaussians.capture_notes import capture_extras
-from vgmpi.gaussians.capture_record import CaptureRecord
-from vgmpi.gaussians.cloud import GaussianCloud
-from vgmpi.gaussians.coordinate_frames import PLY_FRAME
+from vgmpi.gaussians.capture_conventions import PLY_FRAME, capture_extras
+from vgmpi.gaussians.cloud import CaptureRecord, GaussianCloud
 from vgmpi.gaussians.formats import registry
 from vgmpi.gaussians.formats.registry import GaussianFileError
 from vgmpi.preprocess.floaters import find_floaters

@@ -8,11 +8,10 @@ import numpy as np
 
 from vgmpi.gaussians import shape_distance
 from vgmpi.gaussians.baked_shading import apply_baked_shading
-from vgmpi.gaussians.capture_notes import log_capture_notes
+from vgmpi.gaussians.capture_conventions import log_capture_notes, with_render_model
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import registry
 from vgmpi.gaussians.formats.validation import MAX_MAGNITUDE
-from vgmpi.gaussians.render_models import with_render_model
 from vgmpi.gaussians.shape_evolution import FAMILIES_DRAWN_AS_SPHERES
 from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
 from vgmpi.preprocess.meshes import point_in_mesh

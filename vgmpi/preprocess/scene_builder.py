@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from vgmpi.gaussians.capture_conventions import render_model
 from vgmpi.gaussians.formats.validation import GaussianFileError
-from vgmpi.gaussians.render_models import render_model
 from vgmpi.planning.color_exchange import color_sets
 from vgmpi.planning.particle_channels import SURFACE
 from vgmpi.planning.phases_and_groups import phases_with_surface, stores_deformation

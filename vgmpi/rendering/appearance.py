@@ -5,7 +5,7 @@ import logging
 import numpy as np
 
 from vgmpi.gaussians import compiled_evolution, shape_evolution
-from vgmpi.gaussians.render_models import COMPENSATED_LOWPASS
+from vgmpi.gaussians.capture_conventions import COMPENSATED_LOWPASS
 from vgmpi.io.run_reader import RunError
 from vgmpi.rendering.raster.rasterize import ALPHA_MIN, ProjectableGaussians, join_gaussians
 from vgmpi.runtime.message_text import did_you_mean

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vgmpi.gaussians.render_models import RenderModel
+from vgmpi.gaussians.capture_conventions import RenderModel
 
 
 def is_capture(run, objects: list[dict]) -> np.ndarray:

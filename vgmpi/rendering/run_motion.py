@@ -13,8 +13,8 @@ import numpy as np
 from vgmpi.gaussians import shape_evolution
 from vgmpi.gaussians import spherical_harmonics as harmonics
 from vgmpi.gaussians.cloud import pack_symmetric, quaternion, unpack_symmetric
-from vgmpi.gaussians.formats import motion_layout as layout
-from vgmpi.gaussians.formats.motion_layout import GroupState, MotionGroup, RestGaussians
+from vgmpi.gaussians.formats import motion_stream as layout
+from vgmpi.gaussians.formats.motion_stream import GroupState, MotionGroup, RestGaussians
 from vgmpi.gaussians.formats.residual_coding import morton_order
 
 from .appearance import Appearance

@@ -15,8 +15,8 @@ import numpy as np
 from vgmpi.gaussians import spherical_harmonics as harmonics
 from vgmpi.gaussians.camera import Camera
 from vgmpi.gaussians.cloud import quaternion, rotation_matrices, unpack_symmetric
-from vgmpi.gaussians.formats import motion_layout as layout
-from vgmpi.gaussians.formats.motion_layout import GroupState, MotionGroup, RestGaussians
+from vgmpi.gaussians.formats import motion_stream as layout
+from vgmpi.gaussians.formats.motion_stream import GroupState, MotionGroup, RestGaussians
 from vgmpi.io.run_reader import RunError
 
 APERTURE = 0.36  # [tenths of a meter] horizontal aperture of the cameras, 36 mm

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from vgmpi.gaussians.formats.motion_layout import MotionGroup
-from vgmpi.gaussians.formats.motion_reader import MotionReader
+from vgmpi.gaussians.formats.motion_stream import MotionGroup, MotionReader
 from vgmpi.gaussians.formats.validation import GaussianFileError, naming_file
 
 from .appearance import Appearance
@@ -29,7 +28,7 @@ _ESCAPED = b"=\0\r<"  # bytes that are written as "=" and the byte plus 64
 
 
 def assemble_page(stream: bytes, title: str) -> bytes:
-    """Return the page that plays a stream of motion_writer.MotionWriter."""
+    """Return the page that plays a stream of motion_stream.MotionWriter."""
     template = (_FOLDER / "page.html").read_text()
     script = "\n".join((_FOLDER / name).read_text() for name in SCRIPTS)
     text = template.replace(

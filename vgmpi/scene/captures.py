@@ -4,7 +4,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator
 
-from vgmpi.gaussians.coordinate_frames import validate_frame
+from vgmpi.gaussians.capture_conventions import validate_frame
 from vgmpi.runtime.config.schema import Quantity, Share, StrictModel, Switch
 
 from .shapes import Corners, Sphere

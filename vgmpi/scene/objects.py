@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, PrivateAttr
 
-from vgmpi.gaussians.render_models import RenderModel
+from vgmpi.gaussians.capture_conventions import RenderModel
 from vgmpi.runtime.config.schema import (
     Color,
     Point,

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vgmpi.gaussians.capture_notes import log_capture_notes
+from vgmpi.gaussians.capture_conventions import log_capture_notes
 from vgmpi.gaussians.formats import registry
 from vgmpi.gaussians.formats.validation import GaussianFileError
 from vgmpi.runtime.config.schema import format_input

@@ -18,8 +18,7 @@ from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
-from vgmpi.gaussians.capture_record import CaptureRecord
-from vgmpi.gaussians.cloud import GaussianCloud
+from vgmpi.gaussians.cloud import CaptureRecord, GaussianCloud
 from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
 
 from .validation import Columns, GaussianFileError, naming_file, read_validated, validate_count

@@ -3,8 +3,8 @@
 from pathlib import Path
 from types import ModuleType
 
+from vgmpi.gaussians.capture_conventions import in_ply_frame
 from vgmpi.gaussians.cloud import GaussianCloud
-from vgmpi.gaussians.coordinate_frames import in_ply_frame
 
 from . import gltf, ksplat, ply, sog, splat, spz
 from .validation import GaussianFileError

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vgmpi.gaussians.capture_record import CaptureRecord
-from vgmpi.gaussians.cloud import GaussianCloud
+from vgmpi.gaussians.cloud import CaptureRecord, GaussianCloud
 from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
 from vgmpi.runtime.user_files import replace_file
 

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from vgmpi.gaussians.capture_record import CaptureRecord
-from vgmpi.gaussians.cloud import GaussianCloud
+from vgmpi.gaussians.cloud import CaptureRecord, GaussianCloud
 from vgmpi.runtime import process_limits
 
 log = logging.getLogger("vgmpi")

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vgmpi.gaussians.formats.ply_header import Layout, read_header
+from vgmpi.gaussians.formats.ply_tables import Layout, read_header
 
 from .triangle_mesh import COLOR_NAMES, Mesh, fans, unit_colors
 

@@ -41,7 +41,7 @@ class ProjectableGaussians:
         opacity: Opacities, shape (n,), 0..1.
         color: Colors as seen from the camera, shape (n, 3), >= 0.
         compensated_lowpass: Variance of the antialiased training of each, shape (n,) [pixels^2],
-            see vgmpi.gaussians.render_models; 0 for classic ones, None if all are.
+            see vgmpi.gaussians.capture_conventions; 0 for classic ones, None if all are.
     """
 
     x: np.ndarray

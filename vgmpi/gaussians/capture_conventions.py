@@ -1,20 +1,36 @@
-"""Coordinate frames of captures, and the turn from a file's frame to that of a .ply.
+"""Conventions in which captures are written, and notes on what a reader decided about them.
 
-A frame is three letters, the directions of x, y and z: one each of R/L (right, left), U/D (up,
-down) and F/B (forward, back), as in "RDF". A frame of the other handedness than RDF, such as LUB,
-holds the mirror image of its object; the turn mirrors it back.
+A coordinate frame is three letters, the directions of x, y and z: one each of R/L (right, left),
+U/D (up, down) and F/B (forward, back), as in "RDF". A frame of the other handedness than RDF, such
+as LUB, holds the mirror image of its object; the turn to the frame of a .ply mirrors it back.
+
+A render model is the filter on the picture with which the Gaussians were trained. A renderer adds a
+variance to each Gaussian on the picture, so that none falls between the pixels. Antialiased
+training compensates it: opacities are multiplied by sqrt(det / det'). Files only say whether a
+capture was trained so, and the program that writes this mark, Brush, trains as Mip-Splatting.
+gsplat adds a larger variance and writes no mark.
+
+References:
+    Z. Yu, A. Chen, B. Huang, T. Sattler, A. Geiger. Mip-Splatting: alias-free 3D Gaussian
+    splatting. 2024.
 """
 
+import logging
 from dataclasses import replace
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from . import spherical_harmonics as harmonics
-from .capture_record import CaptureRecord
-from .cloud import GaussianCloud, quaternion, quaternion_product
+from .cloud import CaptureRecord, GaussianCloud, quaternion, quaternion_product
 
 PLY_FRAME = "RDF"  # frame of captures in a .ply: right, down, forward
 _AXES = ("RL", "DU", "FB")  # a letter of each pair; the first points along that axis of a .ply
+RenderModel = Literal["classic", "antialiased", "mip"]
+# [pixels^2] variance whose effect on the opacity is compensated; 0: nothing is compensated
+COMPENSATED_LOWPASS: dict[RenderModel, float] = {"classic": 0.0, "antialiased": 0.3, "mip": 0.1}
+log = logging.getLogger("vgmpi")
 
 
 def validate_frame(frame: str) -> str:
@@ -95,3 +111,50 @@ def in_ply_frame(cloud: GaussianCloud, frame: str | None, encoding: str) -> Gaus
         cloud = to_ply_frame(cloud, chosen)
         source += f", turned to {PLY_FRAME}"
     return replace(cloud, record=replace(record, frame=chosen, frame_source=source))
+
+
+def render_model(cloud: GaussianCloud) -> RenderModel:
+    """Return the render model of a cloud."""
+    if not cloud.is_antialiased:
+        return "classic"
+    return "mip" if cloud.lowpass < 0.2 else "antialiased"
+
+
+def with_render_model(cloud: GaussianCloud, model: RenderModel) -> GaussianCloud:
+    """Return the same Gaussians as trained by another render model."""
+    lowpass = COMPENSATED_LOWPASS[model] or COMPENSATED_LOWPASS["mip"]
+    return replace(cloud, is_antialiased=model != "classic", lowpass=lowpass)
+
+
+def capture_notes(cloud: GaussianCloud) -> list[str]:
+    """Return a clause for each decision, doubt and omission of the reader; none for plain files."""
+    record = cloud.record
+    if record is None:
+        return []
+    notes = []
+    if record.frame_source:
+        separator = f" {record.frame}: " if record.frame else " "
+        notes.append(f"frame{separator}{record.frame_source}")
+    if record.render_model_source:
+        model = "antialiased" if cloud.is_antialiased else "not antialiased"
+        notes.append(f"{model}: {record.render_model_source}")
+    return [*notes, *record.doubts, *capture_extras(record)]
+
+
+def capture_extras(record: CaptureRecord) -> list[str]:
+    """Return a clause on the 3D filter of a file, if it has one, and one for each omission."""
+    filtered = ["sizes and opacities contain the 3D filter of the file"]
+    return [*(filtered if record.has_filter_3d else []), *record.omissions]
+
+
+def log_capture_notes(name: str | Path, cloud: GaussianCloud) -> None:
+    """Log the notes on a capture in one line, if there are any.
+
+    Args:
+        name: Name of the object or path of the file, the beginning of the line.
+        cloud: Cloud as read.
+    """
+    notes, record = capture_notes(cloud), cloud.record
+    if notes and record is not None:
+        level = logging.WARNING if record.doubts or record.omissions else logging.INFO
+        log.log(level, "%s: %s", name, "; ".join(notes))
