@@ -8,7 +8,7 @@ from pydantic import ValidationError
 from tests.materials.test_paste import REALS, states
 from tests.support.law_driver import drive, engines_differ, nanoseconds, rest_of, stress_of
 from vgmpi.materials import registry
-from vgmpi.materials.hyperelastic import HyperelasticMaterial
+from vgmpi.materials.material import HyperelasticMaterial
 from vgmpi.materials.tensor_math import tensor
 
 

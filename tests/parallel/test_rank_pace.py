@@ -9,7 +9,7 @@ from tests.support import simulated_ranks
 from tests.support.simulate import begin
 from tests.support.small_scenes import ROOM
 from vgmpi.parallel import load_balance
-from vgmpi.parallel.rank_pace import MAX_PACE, NEWEST_SHARE, RankPace
+from vgmpi.parallel.load_balance import MAX_PACE, NEWEST_SHARE, RankPace
 from vgmpi.solver.diagnostics.progress import Clock
 from vgmpi.solver.simulation import Simulation
 

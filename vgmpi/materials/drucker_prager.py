@@ -16,8 +16,7 @@ from vgmpi.materials.tensor_math.select import select
 from vgmpi.materials.tensor_math.symmetric_eigen import eigen
 from vgmpi.runtime.config.schema import Quantity
 
-from .elastoplastic import ElastoplasticMaterial
-from .material import Family, lame, material
+from .material import ElastoplasticMaterial, Family, lame, material
 from .tensor_math import hencky
 
 

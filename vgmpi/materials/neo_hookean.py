@@ -10,8 +10,7 @@ from vgmpi.materials.tensor_math.tensor import (
     max_principal_stretch_squared_bound,
 )
 
-from .hyperelastic import HyperelasticMaterial
-from .material import material
+from .material import HyperelasticMaterial, material
 
 
 class Law(NamedTuple):

@@ -8,8 +8,7 @@ import numpy as np
 from vgmpi.materials.tensor_math.symmetric_eigen import eigen
 from vgmpi.runtime.config.schema import Quantity
 
-from .elastoplastic import ElastoplasticMaterial
-from .material import Family, lame, material
+from .material import ElastoplasticMaterial, Family, lame, material
 from .tensor_math import hencky, viscoplastic_flow
 
 

@@ -16,8 +16,7 @@ from pydantic import model_validator
 from vgmpi.materials.tensor_math.symmetric_eigen import eigen
 from vgmpi.runtime.config.schema import Quantity
 
-from .elastoplastic import ElastoplasticMaterial
-from .material import Family, field_error, lame, material
+from .material import ElastoplasticMaterial, Family, field_error, lame, material
 from .tensor_math import hencky
 
 

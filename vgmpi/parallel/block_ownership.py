@@ -56,7 +56,7 @@ def build_block_directory(
         costs: Work per particle by group, shape (groups,).
         cut: Present cuts; None at the start.
         steps: Steps since the last sort.
-        pace: Measured over predicted work of this rank (rank_pace.py).
+        pace: Measured over predicted work of this rank (load_balance.RankPace).
 
     Returns:
         The Census and the cuts from now on.

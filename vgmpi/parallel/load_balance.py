@@ -9,11 +9,21 @@ costs. The ownership of blocks does not affect any bit of the result.
 No rank knows all blocks. Each rank merges its own blocks into few runs, which begin at the useful
 places for a cut: at its first block, at the present beginning of its piece, and around the places
 of even cuts. All ranks know these runs and cut between them.
+
+The pace of a rank is the processor time of its work over the predicted work, relative to all ranks:
+the prediction counts particles and blocks, but not what contact, drag or a slower core cost where
+they are. Each rank measures its work between two sorts and scales the predicted work of its blocks
+by its pace, so that the cuts follow what was measured.
 """
+
+from collections.abc import Callable
 
 import numpy as np
 
 from vgmpi.runtime.jit import kernel
+
+from .communicator import SerialCommunicator
+from .particle_group import ParticleGroup
 
 # The unit of work is a step of one fluid particle.
 BLOCK_COST = 35.0  # work of a block's nodes and patch in one phase
@@ -25,6 +35,9 @@ SLACK = 1.005  # [-] ratio of the largest piece to the mean that counts as perfe
 SHARES = 16  # integer units of work per step of one particle
 REPARTITION_COST = 20.0  # work of each rank, per rank of the run, for computing new cuts
 CANDIDATES_PER_CUT = 2  # candidate places on each side of an even cut
+MIN_SECONDS = 0.02  # [s] largest processor time of a rank below which a measurement says nothing
+NEWEST_SHARE = 0.5  # [-] weight of the newest measurement
+MAX_PACE = 4.0  # [-] limit of the pace and of its inverse
 
 
 def owners(keys: np.ndarray, cut: np.ndarray) -> np.ndarray:
@@ -43,7 +56,7 @@ def predicted_work(count: np.ndarray, cost: np.ndarray, pace: float = 1.0) -> np
     Args:
         count: Particles of each segment, shape (n,).
         cost: Work per particle of each segment [steps], shape (n,).
-        pace: Measured over predicted work of their rank (rank_pace.py).
+        pace: Measured over predicted work of their rank (load_balance.RankPace).
     """
     return np.rint(SHARES * pace * (BLOCK_COST + count * cost)).astype(np.int64)
 
@@ -221,3 +234,45 @@ def nearest_cuts(ends, max_work, earliest, wish, first_block):
         latest = np.searchsorted(ends, ends[before] + max_work, side="right") - 1
         before = min(max(wish[r], earliest[r + 1], before), latest)
         first_block[r] = before
+
+
+class RankPace:
+    """Pace of this rank.
+
+    Attributes:
+        busy: Returns the processor time of the rank's work so far [s]; None where it is not
+            measured. It must be None on all ranks or on none.
+        value: Measured over predicted work, relative to all ranks.
+    """
+
+    def __init__(self, ranks: SerialCommunicator):
+        """Begin with the predicted work."""
+        self.ranks = ranks
+        self.busy: Callable[[], float] | None = None
+        self.value = 1.0
+        self._seconds = 0.0  # `busy` at the last sort
+
+    def measure_work(self, groups: list[ParticleGroup], steps: int) -> float:
+        """Measure the work since the last sort, and return the pace. Collective.
+
+        Args:
+            groups: Particle groups of this rank, as they were during these steps.
+            steps: Steps since the last sort.
+        """
+        if self.busy is None or self.ranks.size == 1:
+            return self.value
+        now = self.busy()
+        work = steps * sum(
+            float(predicted_work(group.count, np.array(group.plan.cost)).sum()) for group in groups
+        )
+        rows = self.ranks.each(np.array([now - self._seconds, work]))
+        self._seconds = now
+        seconds, all_work = rows.sum(0)
+        if rows[:, 0].max() < MIN_SECONDS or all_work == 0.0:
+            return self.value
+        newest = 1.0
+        if work > 0.0:
+            own = rows[self.ranks.rank]
+            newest = min(max(own[0] * all_work / (own[1] * seconds), 1.0 / MAX_PACE), MAX_PACE)
+        self.value += NEWEST_SHARE * (newest - self.value)
+        return self.value

@@ -40,7 +40,7 @@ def sort_particles(
         ranks: Communicator.
         cut: Present cuts; None at the start.
         steps: Steps since the last sort.
-        pace: Measured over predicted work of this rank (rank_pace.py).
+        pace: Measured over predicted work of this rank (load_balance.RankPace).
 
     Returns:
         The Census, the cuts from now on, and the number of particles that left this rank.

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from vgmpi.materials.hyperelastic import HyperelasticMaterial
+from vgmpi.materials.material import HyperelasticMaterial
 from vgmpi.scene.scene import Scene
 
 from .object_builder import BuiltObject

@@ -14,9 +14,8 @@ from vgmpi.parallel.block_lattice import BlockLattice
 from vgmpi.parallel.block_ownership import BlockDirectory
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.halo_exchange import HaloExchange
-from vgmpi.parallel.load_balance import SHARES
+from vgmpi.parallel.load_balance import SHARES, RankPace
 from vgmpi.parallel.particle_group import ParticleGroup
-from vgmpi.parallel.rank_pace import RankPace
 from vgmpi.planning.plan import Plan
 from vgmpi.solver.boundary.flow_accounting import Tally
 from vgmpi.solver.boundary.free_body_coupling import free_body_coupling
