@@ -6,7 +6,7 @@ import pytest
 from tests.support.gaussian_files import columns, table
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import registry
-from vgmpi.preprocess.crop import crop
+from vgmpi.preprocess.capture_selection import crop
 from vgmpi.preprocess.inspect_file import describe_file
 from vgmpi.preprocess.placement import PlacementError
 from vgmpi.runtime.config.schema import SceneError

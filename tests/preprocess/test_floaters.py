@@ -11,7 +11,7 @@ from tests.preprocess.test_interior_fill import shell
 from tests.support.small_scenes import PEBBLE
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import registry
-from vgmpi.preprocess.floaters import find_floaters
+from vgmpi.preprocess.capture_selection import find_floaters
 from vgmpi.preprocess.inspect_file import describe_file
 from vgmpi.preprocess.object_builder import build_object
 

@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 from tests.support.simulate import begin, by_id
 from tests.support.small_scenes import scene
 from vgmpi.io import initial_state
-from vgmpi.preprocess.initial_velocity import initial_velocity, initial_velocity_gradient
+from vgmpi.preprocess.initial_conditions import initial_velocity, initial_velocity_gradient
 from vgmpi.preprocess.scene_builder import build_scene
 
 BOX = """

@@ -8,7 +8,7 @@ from tests.support.small_scenes import scene
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import ply
 from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
-from vgmpi.preprocess.crop import crop
+from vgmpi.preprocess.capture_selection import crop
 from vgmpi.preprocess.meshes.surface_mesh import quaternion_to_normal
 from vgmpi.preprocess.sampling import interior_fill
 from vgmpi.preprocess.sampling.voxels import (

@@ -8,7 +8,7 @@ import pytest
 from tests.preprocess.test_interior_fill import MIDDLE, shell
 from vgmpi.gaussians.cloud import GaussianCloud, quaternion_product
 from vgmpi.preprocess.meshes.surface_mesh import quaternion_to_normal
-from vgmpi.preprocess.pruning import image_similarity, merge, prune
+from vgmpi.preprocess.pruning import image_similarity, prune
 from vgmpi.preprocess.sampling import interior_fill
 
 RADIUS = 0.1
@@ -95,7 +95,7 @@ def test_the_surface_moves_out_by_a_part_of_what_it_grows(ball):
     away = np.linalg.norm(after.x - MIDDLE, axis=1) - RADIUS
     plain = height(after.x) > 0.1  # far from the edge all stand for about as many
     grown = (after.scale - before.scale)[plain, 0]
-    assert np.median(away[plain] / grown) == pytest.approx(merge.OUTWARD_SHIFT, rel=0.2)
+    assert np.median(away[plain] / grown) == pytest.approx(prune.OUTWARD_SHIFT, rel=0.2)
     assert np.percentile(away[plain], 1) > 0 and away.max() < grown.max()
 
 
@@ -141,9 +141,9 @@ def test_a_thin_cover_stays_as_thick_as_it_is(ball):
         )
         after = found.cloud.select(skin[found.retained])
         area = 4 * np.pi * RADIUS**2
-        layers.append(2 * np.pi * merge.visual_weight(after).sum() / area)
+        layers.append(2 * np.pi * prune.visual_weight(after).sum() / area)
     assert layers[0] == pytest.approx(2 * np.pi * 0.95 * 0.5**2, rel=0.1)
-    less = (0.073 ** (2 / 3)) ** (1 - 2 * merge.WIDTH_EXPONENT)  # where there is plenty
+    less = (0.073 ** (2 / 3)) ** (1 - 2 * prune.WIDTH_EXPONENT)  # where there is plenty
     for width, found in zip((0.85, 1.2), layers[1:]):
         assert found == pytest.approx(2 * np.pi * 0.95 * width**2 * less, rel=0.1)
 
@@ -154,14 +154,14 @@ def test_what_is_inside_stays_below_the_surface(ball):
     within = ~skin[found.retained]
     depth = RADIUS - np.linalg.norm(found.cloud.x[within] - MIDDLE, axis=1)
     width, before = found.cloud.scale[within, 0], cloud.scale[found.retained & ~skin, 0]
-    assert np.all(width <= np.maximum(before, 1.01 * merge.INTERIOR_WIDTH_RATIO * depth) + 1e-12)
+    assert np.all(width <= np.maximum(before, 1.01 * prune.INTERIOR_WIDTH_RATIO * depth) + 1e-12)
     assert np.all(width >= before) and width.max() > 2 * before.max()  # in the middle it is filled
 
 
 def test_what_is_kept_whole_is_left_alone(ball):
     cloud, _, skin = ball
     every = np.ones(len(cloud), dtype=bool)
-    same = merge.merged(cloud, np.ones(len(cloud)), np.arange(len(cloud)), every, skin)
+    same = prune.merged(cloud, np.ones(len(cloud)), np.arange(len(cloud)), every, skin)
     for name in ("x", "quat", "opacity", "sh"):
         assert np.allclose(getattr(same, name), getattr(cloud, name), rtol=1e-12)
     assert np.allclose(same.scale, cloud.scale, rtol=1e-12)
@@ -169,9 +169,9 @@ def test_what_is_kept_whole_is_left_alone(ball):
 
 WITHOUT = {
     "detail": (prune, "_DETAIL_WEIGHT", 0.0),
-    "the shift of the surface": (merge, "OUTWARD_SHIFT", 0.0),
-    "hiding the inside": (merge, "INTERIOR_WIDTH_RATIO", np.inf),
-    "more than the cube root": (merge, "WIDTH_EXPONENT", 1 / 3),
+    "the shift of the surface": (prune, "OUTWARD_SHIFT", 0.0),
+    "hiding the inside": (prune, "INTERIOR_WIDTH_RATIO", np.inf),
+    "more than the cube root": (prune, "WIDTH_EXPONENT", 1 / 3),
 }
 
 

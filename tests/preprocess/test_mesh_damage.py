@@ -18,11 +18,11 @@ from tests.support import damaged_meshes
 from tests.support.launch import PATIENCE
 from vgmpi.preprocess.meshes import (
     bounded_reader,
+    mesh_formats,
     mesh_topology,
     point_in_mesh,
     surface_mesh,
-    texture,
-    wavefront,
+    triangle_mesh,
 )
 from vgmpi.preprocess.meshes.surface_mesh import MeshError
 from vgmpi.preprocess.meshes.triangle_mesh import Mesh
@@ -172,7 +172,7 @@ def test_a_reader_that_never_ends_is_stopped(tmp_path, monkeypatch):
 
 
 def test_a_face_of_many_corners_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(wavefront, "MAX_CORNERS", 5)
+    monkeypatch.setattr(mesh_formats, "MAX_CORNERS", 5)
     path, points = tmp_path / "a.obj", "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
     path.write_text(f"{points}f 1 2 3 4 1\n")
     assert len(surface_mesh.read(path).triangles) == 3
@@ -182,17 +182,17 @@ def test_a_face_of_many_corners_is_refused(tmp_path, monkeypatch):
 
 
 def test_material_files_are_few_and_read_once(tmp_path, monkeypatch):
-    monkeypatch.setattr(texture, "MAX_LIBRARIES", 2)
+    monkeypatch.setattr(triangle_mesh, "MAX_LIBRARIES", 2)
     (tmp_path / "a.mtl").write_text("newmtl red\nKd 1 0 0\n")
     path = tmp_path / "a.obj"
     opened = []
     monkeypatch.setattr(
-        texture, "read_regular_file", lambda file, _: opened.append(file) or file.read_bytes()
+        triangle_mesh, "read_regular_file", lambda file, _: opened.append(file) or file.read_bytes()
     )
-    assert texture.read_materials(path, ["a.mtl"] * 9)["red"].color == (1, 0, 0)
+    assert triangle_mesh.read_materials(path, ["a.mtl"] * 9)["red"].color == (1, 0, 0)
     assert len(opened) == 1
-    with pytest.raises(texture.TextureError, match="names 3 material files: allowed 2"):
-        texture.read_materials(path, ["a.mtl", "./a.mtl", "././a.mtl"])
+    with pytest.raises(triangle_mesh.TextureError, match="names 3 material files: allowed 2"):
+        triangle_mesh.read_materials(path, ["a.mtl", "./a.mtl", "././a.mtl"])
 
 
 def test_triangles_at_one_place_take_no_more_memory_than_others():

@@ -11,7 +11,7 @@ from tests.support.small_scenes import scene
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
 from vgmpi.preprocess.object_builder import build_object
-from vgmpi.preprocess.pruning import image_similarity, merge, prune
+from vgmpi.preprocess.pruning import image_similarity, prune
 from vgmpi.runtime.config.schema import SceneError
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
@@ -81,8 +81,8 @@ def by_chance(piece, share, skin, seed):
     kept = np.random.default_rng(seed).random(len(share)) < share
     left = piece.cloud.select(kept)
     wider = replace(left, scale=left.scale * (share[kept] ** (-1 / 3))[:, None])
-    heir = merge.merge_targets(piece.cloud.x, kept, skin)
-    return wider, merge.merged(piece.cloud, share, heir, kept, skin)
+    heir = prune.merge_targets(piece.cloud.x, kept, skin)
+    return wider, prune.merged(piece.cloud, share, heir, kept, skin)
 
 
 def test_the_printed_ratios():

@@ -16,7 +16,7 @@ from vgmpi.gaussians.cloud import unpack_symmetric
 from vgmpi.io import file_layout
 from vgmpi.io.run_reader import RunReader, inspect
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.preprocess.passive_gaussians import CARRIERS, bind_passive
+from vgmpi.preprocess.built_object import CARRIERS, bind_passive
 from vgmpi.preprocess.pruning import image_similarity
 from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.rendering.appearance import Appearance

@@ -11,7 +11,7 @@ import pytest
 from tests.support import launch
 from vgmpi.apps.run import cli
 from vgmpi.io.run_reader import RunError, RunReader, inspect, read_gaussians
-from vgmpi.preprocess.meshes import texture
+from vgmpi.preprocess.meshes import triangle_mesh
 from vgmpi.rendering import camera_selection, image_io
 from vgmpi.rendering.render_config import SettingsError
 from vgmpi.runtime import process_limits, user_files
@@ -62,8 +62,8 @@ def test_settings_cameras_and_backgrounds_are_files(odd):
         camera_selection.transforms(odd)
     with pytest.raises(image_io.VideoError, match="is no regular file"):
         image_io.background(str(odd), 8, 8, odd.parent)
-    with pytest.raises(texture.TextureError, match="is no regular file"):
-        texture.read_texture(odd)
+    with pytest.raises(triangle_mesh.TextureError, match="is no regular file"):
+        triangle_mesh.read_texture(odd)
     with pytest.raises(RunError, match="no regular file|is a link"):
         read_gaussians(odd)
 
@@ -87,9 +87,9 @@ def test_pictures_are_not_large(tmp_path):
     """Their head says so, before a pixel is read."""
     path = tmp_path / "a.png"
     large(path)
-    for read in (texture.read_texture, lambda p: image_io.background(p.name, 8, 8, tmp_path)):
+    for read in (triangle_mesh.read_texture, lambda p: image_io.background(p.name, 8, 8, tmp_path)):
         with pytest.raises(
-            (texture.TextureError, image_io.VideoError), match="has 10,000 x 10,000 pixels"
+            (triangle_mesh.TextureError, image_io.VideoError), match="has 10,000 x 10,000 pixels"
         ):
             read(path)
 
@@ -99,8 +99,8 @@ def test_pictures_fit_into_the_memory(tmp_path, monkeypatch):
     large(path, 5000, 5000)
     monkeypatch.setattr(process_limits, "available_memory", lambda swap=False: 500 << 20)
     key = f"picture.background: {path}: "  # where it stands in render.toml
-    with pytest.raises(texture.TextureError, match="its 5,000 x 5,000 pixels take at least"):
-        texture.read_texture(path)
+    with pytest.raises(triangle_mesh.TextureError, match="its 5,000 x 5,000 pixels take at least"):
+        triangle_mesh.read_texture(path)
     with pytest.raises(image_io.VideoError, match=f"^{key}its 5,000 x 5,000 pixels take at least"):
         image_io.background(path.name, 8, 8, tmp_path)
 

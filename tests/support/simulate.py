@@ -6,7 +6,7 @@ import numpy as np
 
 from tests.support.small_scenes import scene
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.preprocess.initial_velocity import initial_velocity_gradient
+from vgmpi.preprocess.initial_conditions import initial_velocity_gradient
 from vgmpi.preprocess.scene_builder import PreparedScene, build_scene
 from vgmpi.solver.diagnostics.conservation import conservation_rows
 from vgmpi.solver.initial_particles import known_of, plan_for

@@ -9,7 +9,7 @@ from vgmpi.gaussians.capture_conventions import PLY_FRAME, capture_extras
 from vgmpi.gaussians.cloud import CaptureRecord, GaussianCloud
 from vgmpi.gaussians.formats import registry
 from vgmpi.gaussians.formats.registry import GaussianFileError
-from vgmpi.preprocess.floaters import find_floaters
+from vgmpi.preprocess.capture_selection import find_floaters
 from vgmpi.preprocess.meshes import surface_mesh
 from vgmpi.preprocess.meshes.mesh_topology import (
     analyze_mesh,

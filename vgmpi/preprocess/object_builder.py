@@ -34,9 +34,8 @@ from vgmpi.scene.scene import Scene
 
 from . import memory_estimate, shape_sdf
 from .built_object import BuiltObject, isotropic_gaussians
+from .capture_selection import capture_floaters, crop
 from .collider_sdf import ShapeCollider, VoxelCollider
-from .crop import crop
-from .floaters import capture_floaters
 from .memory_estimate import spacing_of
 from .placement import (
     PlacementError,

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from vgmpi.scene.point_sets import ARRAYS, Points
 
 from .meshes.bounded_reader import MAX_RATIO, read_point_arrays
-from .meshes.ply_mesh import read_vertices
+from .meshes.mesh_formats import read_vertices
 from .meshes.triangle_mesh import unit_colors
 
 # names of the numbers of a point in a .ply file, and of arrays in a .vtp file

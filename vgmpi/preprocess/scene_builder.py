@@ -26,11 +26,10 @@ from .body_regions import (
     sort_by_region,
     validate_region_particles,
 )
-from .built_object import BuiltObject
+from .built_object import BuiltObject, bind_passive
 from .collider_sdf import Collider, ShapeCollider, with_free_body, with_motion, with_shell
-from .initial_conditions import apply_initial_conditions
+from .initial_conditions import apply_initial_conditions, initial_velocity
 from .initial_overlaps import subtract_objects, warn_of_overlaps
-from .initial_velocity import initial_velocity
 from .load_targets import ResolvedLoad, resolve_loads
 from .motion_checks import (
     validate_body_motion,
@@ -39,7 +38,6 @@ from .motion_checks import (
     warn_of_distant_joints,
 )
 from .object_builder import build_object
-from .passive_gaussians import bind_passive
 from .pinned_regions import PinnedRegion, resolve_pinned_parts, with_pinned_masses
 from .placement import PlacementError
 from .setting_checks import report_flip_ratio, warn_of_locking, warn_of_unlikely_objects

@@ -1,4 +1,4 @@
-"""Warnings about settings that are allowed and rarely meant."""
+"""Settings that are allowed and rarely meant: warnings, and slip walls that hold bodies back."""
 
 import logging
 import math
@@ -8,14 +8,16 @@ import numpy as np
 
 from vgmpi.materials.material import HyperelasticMaterial
 from vgmpi.scene.scene import Scene
+from vgmpi.scene.sections import WALLS
 
-from .object_builder import BuiltObject
+from .built_object import BuiltObject
 from .shape_sdf import contains
 
 log = logging.getLogger("vgmpi")
 
 MIN_DOMAIN_FRACTION = 0.1  # [-] of the domain's edges, below which all objects together are small
 GREENHILL = 7.837  # [-] height^3 rho g A / (E I) at which a column buckles under its own weight
+TOUCHING_CELLS = 0.5  # [cells] distance of a particle from a wall that its body touches
 
 
 def warn_of_locking(scene: Scene) -> None:
@@ -112,3 +114,24 @@ def _warn_of_small_objects(scene: Scene, pieces: list[BuiltObject]) -> None:
             ' unit missing? A number without one is in meters; "48 cm" has one',
             scene.place(("domain", "size")), *size, *extent,
         )  # fmt: skip
+
+
+def holding_walls(scene: Scene, objects: list[dict], x: np.ndarray) -> tuple[str, ...]:
+    """Return the names of the slip walls that a body touches which is not a liquid.
+
+    Args:
+        scene: The scene.
+        objects: Entries of the objects and inlets.
+        x: Positions of the particles, shape (n, 3) [m].
+    """
+    reach, holding = TOUCHING_CELLS * scene.domain.cell, set()
+    for k, entry in enumerate(objects):
+        rows = x[entry["first_row"] :][: entry["row_count"]]
+        if entry.get("family", "fluid") == "fluid" or not len(rows) or k >= len(scene.object):
+            continue
+        for wall, (kind, _) in enumerate(scene.walls_of_solids):
+            axis, side = divmod(wall, 2)
+            depth = (rows[:, axis] if side == 0 else scene.domain.size[axis] - rows[:, axis]).min()
+            if kind == "slip" and depth < reach:
+                holding.add(wall)
+    return tuple(WALLS[wall] for wall in sorted(holding))

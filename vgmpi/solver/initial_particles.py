@@ -20,12 +20,12 @@ from vgmpi.planning.prescribed_bodies import Extents
 from vgmpi.planning.proximity import Proximity
 from vgmpi.planning.region_groups import region_plans
 from vgmpi.planning.rigid_bodies import RigidBodiesSummary
-from vgmpi.preprocess.holding_walls import holding_walls
-from vgmpi.preprocess.liquid_weight import closed_box_tensions, liquid_weights
+from vgmpi.preprocess.initial_conditions import closed_box_tensions, liquid_weights
 from vgmpi.preprocess.load_targets import resolve_loads
-from vgmpi.preprocess.meshes import texture
+from vgmpi.preprocess.meshes import triangle_mesh
 from vgmpi.preprocess.motion_checks import extent, motion_steps
 from vgmpi.preprocess.pinned_regions import PinnedRegion, resolve_pinned_parts
+from vgmpi.preprocess.setting_checks import holding_walls
 from vgmpi.scene.scene import Scene
 from vgmpi.solver.estimates.measure_proximity import surroundings
 from vgmpi.solver.estimates.measure_rigid_bodies import measure_rigid_bodies
@@ -308,7 +308,10 @@ def preparation_hash(scene: Scene) -> str:
     """
     hasher = hashlib.sha256(json.dumps(scene.to_json(), sort_keys=True).encode())
     for name in sorted(scene.files):
-        for path in (Path(scene.files[name]), *texture.texture_files(Path(scene.files[name]))):
+        for path in (
+            Path(scene.files[name]),
+            *triangle_mesh.texture_files(Path(scene.files[name])),
+        ):
             with open(path, "rb") as file:  # it may be of any size
                 while chunk := file.read(1 << 20):
                     hasher.update(chunk)

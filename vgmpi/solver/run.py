@@ -15,7 +15,7 @@ from vgmpi.io.run_reader import particle_set_id
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.planning.cost.plan_report import format_plan
 from vgmpi.planning.plan import Plan
-from vgmpi.preprocess.initial_velocity import initial_velocity_gradient
+from vgmpi.preprocess.initial_conditions import initial_velocity_gradient
 from vgmpi.runtime.versions import versions
 from vgmpi.scene.resume_rules import (
     changes_without_effect,

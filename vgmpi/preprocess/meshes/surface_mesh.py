@@ -13,10 +13,8 @@ from vgmpi.runtime import process_limits
 from vgmpi.runtime.config.toml_source import escape_control_characters, truncate
 
 from .bounded_reader import SUFFIXES, read_by_library
-from .ply_mesh import read_ply
-from .stl import read_stl
+from .mesh_formats import read_obj, read_ply, read_stl
 from .triangle_mesh import Mesh
-from .wavefront import read_obj
 
 _READERS: dict[str, Callable[[Path], Mesh]] = {
     ".obj": read_obj, ".stl": read_stl, ".ply": read_ply,

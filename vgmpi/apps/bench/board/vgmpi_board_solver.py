@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.preprocess.initial_velocity import initial_velocity_gradient
+from vgmpi.preprocess.initial_conditions import initial_velocity_gradient
 from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.runtime.versions import versions
 from vgmpi.scene.loader import load

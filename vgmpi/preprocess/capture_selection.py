@@ -1,5 +1,6 @@
-"""Floaters of a capture: the few Gaussians away from the rest that would set its size and place.
+"""Parts of a capture that a scene leaves out: what its selection crops, and floaters.
 
+Floaters are the few Gaussians away from the rest that would set the size and place of a capture.
 Training leaves faint or lone Gaussians far from what is seen. The extent of a capture is that of
 its clusters: cubes that hold enough opacity, joined with those next to them. Gaussians outside the
 box of all clusters that count are floaters. Opacities weigh, sizes do not, so that a wide faint
@@ -7,14 +8,20 @@ Gaussian in the middle changes nothing.
 """
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 
 from vgmpi.gaussians.cloud import GaussianCloud, rotation_matrices
+from vgmpi.runtime.message_text import did_you_mean
+from vgmpi.scene.captures import Select
 from vgmpi.scene.objects import Object
 
+from .placement import PlacementError
+
+_OUTLIER_NEIGHBORS = 8
+_VALUES_TOLD = 10  # values of a column that a message names
 log = logging.getLogger("vgmpi")
 
 CUBES = 32  # [-] cubes along the longest side of what is seen
@@ -29,6 +36,65 @@ _AXIS_LIMIT = 1 << 20  # [cubes] from the middle, beyond which all cubes are one
 _SIDES = np.array(
     [(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if (i, j, k) > (0, 0, 0)]
 )
+
+
+def crop(cloud: GaussianCloud, select: Select | None) -> GaussianCloud:
+    """Return the Gaussians inside the selection, in the order and coordinates of the file.
+
+    Columns of labels have served their purpose and are dropped.
+
+    Raises:
+        PlacementError: If the file has no such column of labels, or none of its values is selected.
+    """
+    labels = cloud.labels
+    if labels:
+        cloud = replace(cloud, labels={})
+    if select is None:
+        return cloud
+    mask = cloud.opacity >= select.min_opacity
+    if select.property is not None:
+        mask &= _labeled(labels, select.property, select.values)
+    if select.box is not None:
+        low, high = np.asarray(select.box)
+        mask &= ((cloud.x >= low) & (cloud.x <= high)).all(axis=1)
+    if select.sphere is not None:
+        offset = cloud.x - np.asarray(select.sphere.center)
+        mask &= (offset**2).sum(axis=1) <= select.sphere.radius**2
+    cloud = cloud.select(mask)
+    if select.outlier_sigma > 0 and len(cloud) > _OUTLIER_NEIGHBORS:
+        distance = (
+            scipy.spatial.cKDTree(cloud.x)
+            .query(cloud.x, _OUTLIER_NEIGHBORS + 1)[0][:, 1:]
+            .mean(axis=1)
+        )
+        cloud = cloud.select(distance <= distance.mean() + select.outlier_sigma * distance.std())
+    return cloud
+
+
+def _labeled(labels: dict[str, np.ndarray], name: str, values: tuple[int, ...]) -> np.ndarray:
+    """Return the mask of Gaussians whose label is one of some values.
+
+    Raises:
+        PlacementError: If there is no such column, or it has none of the values.
+    """
+    if name not in labels:
+        names = ", ".join(labels) if labels else "none"
+        raise PlacementError(
+            "select",
+            f"property '{name}' is no column of integers of the file{did_you_mean(name, labels)};"
+            f" known: {names}",
+        )
+    mask = np.isin(labels[name], np.asarray(values))
+    if not mask.any():
+        present = np.unique(labels[name])
+        more = " ..." if len(present) > _VALUES_TOLD else ""
+        some = ", ".join(map(str, present[:_VALUES_TOLD]))
+        raise PlacementError(
+            "select",
+            f"no Gaussian has one of the values {', '.join(map(str, values))} of '{name}', which"
+            f" has {len(present):,}: {some}{more}",
+        )
+    return mask
 
 
 @dataclass(frozen=True)
