@@ -16,8 +16,8 @@ from vgmpi.io.run_reader import read_gaussians
 from vgmpi.kernels.nodal_fields.surface_distance import MAX_DEPTH_CELLS
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.planning.particle_channels import CURVATURE_TO_FULL
+from vgmpi.preprocess.built_object import CURVATURE_WEIGHT, MAX_NORMAL_TURN_PER_CELL
 from vgmpi.preprocess.scene_builder import build_scene
-from vgmpi.preprocess.surface_descriptor import CURVATURE_WEIGHT, MAX_NORMAL_TURN_PER_CELL
 from vgmpi.solver.initial_particles import known_of, plan_for, prepare, write_initial_particles
 from vgmpi.solver.simulation import Simulation
 

@@ -47,9 +47,9 @@ def test_a_folder_that_cannot_be_written_is_no_fault(tmp_path, monkeypatch):
 
 
 def test_a_source_is_parsed_once(store, monkeypatch):
-    path = source_digest.module_path("vgmpi.kernels.patch")
-    first = source_digest._Parsed("vgmpi.kernels.patch", path)
+    path = source_digest.module_path("vgmpi.kernels.particle_records")
+    first = source_digest._Parsed("vgmpi.kernels.particle_records", path)
     monkeypatch.setattr(source_digest.ast, "parse", lambda text: pytest.fail("parsed again"))
-    again = source_digest._Parsed("vgmpi.kernels.patch", path)
+    again = source_digest._Parsed("vgmpi.kernels.particle_records", path)
     assert (again.imports, again.annotated) == (first.imports, first.annotated)
     assert again.digest == first.digest and first.imports

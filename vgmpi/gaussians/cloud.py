@@ -7,6 +7,8 @@ from numpy.typing import ArrayLike
 
 from . import spherical_harmonics as harmonics
 
+OTHER_AXES = np.array([(1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)])  # of a quaternion but one
+
 
 @dataclass(frozen=True)
 class CaptureRecord:
@@ -203,6 +205,20 @@ def principal_axes(cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     values, vectors = np.linalg.eigh(unpack_symmetric(np.asarray(cov, dtype=np.float64)))
     vectors[:, :, 0] *= np.where(np.linalg.det(vectors) < 0, -1.0, 1.0)[:, None]
     return quaternion(vectors), np.sqrt(np.maximum(values, 0.0))
+
+
+def complete_quaternions(leading_axis: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return the unit quaternions w, x, y, z (n, 4) of which three components are known.
+
+    Args:
+        leading_axis: Number of the component that is left out and not negative, shape (n,).
+        others: The other components in their order, shape (n, 3).
+    """
+    quat = np.empty((len(others), 4))
+    np.put_along_axis(quat, OTHER_AXES[leading_axis], others, axis=1)
+    leading = np.sqrt(np.maximum(0.0, 1 - (others**2).sum(axis=1)))
+    np.put_along_axis(quat, leading_axis[:, None], leading[:, None], axis=1)
+    return quat
 
 
 def quaternion_product(p: np.ndarray, q: np.ndarray) -> np.ndarray:

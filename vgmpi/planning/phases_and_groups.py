@@ -175,7 +175,7 @@ def phases_of(
         volume: Volume of each object [m3].
         center: Center of each object [m].
         surface: Whether the particles of each object know its surface
-        (preprocess/surface_descriptor.py).
+        (preprocess/built_object.py).
         driven: Rows of the bodies of each phase with prescribed motion, by its name.
     """
     members = {name: list(rows) for name, rows in driven.items()}

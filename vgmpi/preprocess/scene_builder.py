@@ -26,7 +26,7 @@ from .body_regions import (
     sort_by_region,
     validate_region_particles,
 )
-from .built_object import BuiltObject, bind_passive
+from .built_object import BuiltObject, bind_passive, with_surface_descriptor
 from .collider_sdf import Collider, ShapeCollider, with_free_body, with_motion, with_shell
 from .initial_conditions import apply_initial_conditions, initial_velocity
 from .initial_overlaps import subtract_objects, warn_of_overlaps
@@ -41,7 +41,6 @@ from .object_builder import build_object
 from .pinned_regions import PinnedRegion, resolve_pinned_parts, with_pinned_masses
 from .placement import PlacementError
 from .setting_checks import report_flip_ratio, warn_of_locking, warn_of_unlikely_objects
-from .surface_descriptor import with_surface_descriptor
 
 log = logging.getLogger("vgmpi")
 

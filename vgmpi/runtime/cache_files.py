@@ -12,19 +12,17 @@ import os
 import time
 from pathlib import Path
 
+log = logging.getLogger("vgmpi")
+PATIENCE = 600.0  # [s] longest wait for another process
+ANNOUNCE_SECONDS = 15.0  # [s] of waiting after which a line says for whom, and between such lines
+ON_EVERY_RANK = logging.CRITICAL + 1  # level of lines that ranks other than the first log, too
+_PAUSE = 0.02  # [s]
+
 
 def user_folder() -> Path:
     """Return the folder for files that this program can always create again."""
     root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(root) / "vgmpi"
-
-
-log = logging.getLogger("vgmpi")
-
-PATIENCE = 600.0  # [s] longest wait for another process
-ANNOUNCE_SECONDS = 15.0  # [s] of waiting after which a line says for whom, and between such lines
-ON_EVERY_RANK = logging.CRITICAL + 1  # level of lines that ranks other than the first log, too
-_PAUSE = 0.02  # [s]
 
 
 class FileLock:

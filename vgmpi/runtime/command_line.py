@@ -20,6 +20,18 @@ from .message_text import did_you_mean
 
 EXIT_USAGE = 2
 _CHOICE = re.compile(r"invalid choice: '?(.*?)'? \(choose from (.*)\)", re.DOTALL)
+BUG_REPORT_HINT = (
+    "vgmpi: this is a fault of the program, not of what it was given: please report it with all"
+    " that is printed here, the command and the scene (CONTRIBUTING.md)"
+)
+FULL = (errno.ENOSPC, errno.EDQUOT)  # no room left on a disk, or for this user
+DENIED = (errno.EROFS, errno.EACCES, errno.EPERM)  # by the file system or its permissions
+# C0 and C1 but for tab and newline, and what turns the direction of a line; a carriage return is of
+# a progress bar at the start of a text, and of a line's end before a newline
+_CONTROL = re.compile(
+    "[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]"
+    "|(?!^)\r(?!\n)"
+)
 
 
 class ArgumentParser(argparse.ArgumentParser):
@@ -42,15 +54,6 @@ class ArgumentParser(argparse.ArgumentParser):
         if first and first[0].startswith("-"):
             return did_you_mean(first[0], self._option_string_actions)
         return ""
-
-
-BUG_REPORT_HINT = (
-    "vgmpi: this is a fault of the program, not of what it was given: please report it with all"
-    " that is printed here, the command and the scene (CONTRIBUTING.md)"
-)
-
-FULL = (errno.ENOSPC, errno.EDQUOT)  # no room left on a disk, or for this user
-DENIED = (errno.EROFS, errno.EACCES, errno.EPERM)  # by the file system or its permissions
 
 
 def report_file_error(error: OSError, path: object = "") -> int:
@@ -139,14 +142,6 @@ def _stdout_is_full() -> bool:
 def _silence_stdout() -> None:
     """Discard the output that is left, of which Python would complain at its end."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-# C0 and C1 but for tab and newline, and what turns the direction of a line; a carriage return is of
-# a progress bar at the start of a text, and of a line's end before a newline
-_CONTROL = re.compile(
-    "[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]"
-    "|(?!^)\r(?!\n)"
-)
 
 
 class EscapingStream:

@@ -18,6 +18,9 @@ from .compile_cache import KEPT, cache_folder
 from .compile_key import NoKeyError, content_key
 from .cpu_features import processor
 
+_PACKAGES = ("vgmpi.kernels.", "vgmpi.parallel.")  # what every step calls
+_entries: dict[tuple, Callable] = {}
+
 
 def call_at_first_compilation(action: Callable[[], object]) -> None:
     """Call a function when numba compiles for the first time from now on; cached code is silent.
@@ -53,9 +56,6 @@ def announce_compiling(log: logging.Logger, message: str) -> None:
     call_at_first_compilation(lambda: log.info("%s", message))
 
 
-_PACKAGES = ("vgmpi.kernels.", "vgmpi.parallel.")  # what every step calls
-
-
 def compiled_marker(*kind) -> Path:
     """Return the path of a file that exists once the kernels for `kind` are compiled.
 
@@ -71,9 +71,6 @@ def compiled_marker(*kind) -> Path:
     except NoKeyError:  # nothing is kept, so there is nothing to wait for
         return Path(os.devnull)
     return cache_folder() / f"{hashlib.sha256(key.encode()).hexdigest()[:16]}.compiled"
-
-
-_entries: dict[tuple, Callable] = {}
 
 
 def precompiled_entry(function, *arguments) -> Callable:

@@ -23,6 +23,8 @@ from .cache_files import user_folder
 
 _OWN = __name__.split(".")[0]
 _STARTED = time.time()
+Entry = tuple[list[tuple[str, str]], list[str]]  # imports (local, full), names in annotations
+MAX_BYTES = 16 << 20  # [bytes] a larger file is begun anew
 
 
 class SourceError(Exception):
@@ -185,11 +187,6 @@ class _Names(ast.NodeVisitor):
             outer, self.current = self.current, self.in_annotations
             self.visit(node)
             self.current = outer
-
-
-Entry = tuple[list[tuple[str, str]], list[str]]  # imports (local, full), names in annotations
-
-MAX_BYTES = 16 << 20  # [bytes] a larger file is begun anew
 
 
 def store_path() -> Path:

@@ -19,6 +19,8 @@ from .message_text import did_you_mean_file
 MAX_TEXT_BYTES = 16 << 20  # [bytes] largest scene or settings file
 MAX_PIXELS = 1 << 26  # [pixels] largest image: 1.5 GB as numbers, as its reader needs
 _PIXEL = 24  # [bytes] least memory of a pixel as numbers
+# a name that no other process chooses; a killed process may leave it behind
+TEMPORARY_NAME = "{name}.{token}.tmp"
 
 
 def read_regular_file(path: str | Path, max_bytes: int, follow: bool = True) -> bytes:
@@ -79,10 +81,6 @@ def read_image(path: str | Path) -> np.ndarray:
         return np.asarray(iio.imread(path, plugin="pillow"))
     except Exception as error:  # readers of image formats raise all kinds of errors
         raise ValueError((str(error).splitlines() or ["unreadable"])[0]) from None
-
-
-# a name that no other process chooses; a killed process may leave it behind
-TEMPORARY_NAME = "{name}.{token}.tmp"
 
 
 def replace_file(path: str | Path, *parts: bytes | str) -> None:

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vgmpi.gaussians.cloud import CaptureRecord, GaussianCloud
+from vgmpi.gaussians.cloud import CaptureRecord, GaussianCloud, complete_quaternions
 from vgmpi.gaussians.spherical_harmonics import dc_from_rgb, degree_omissions, limit_degree
 from vgmpi.runtime.user_files import replace_file
 
@@ -423,10 +423,4 @@ def _rotation(word: np.ndarray) -> np.ndarray:
     """Unpack quaternions w, x, y, z: leading axis (2 bits) and the others (10 bits each)."""
     others = np.stack([_bits(word, shift, 10) for shift in (20, 10, 0)], axis=1)
     others = (others - 0.5) * np.sqrt(2)
-    leading = np.sqrt(np.maximum(0.0, 1 - (others**2).sum(axis=1)))
-    leading_axis = (word >> np.uint32(30)).astype(int)
-    quat = np.empty((len(word), 4))
-    for axis in range(4):
-        mask = leading_axis == axis
-        quat[mask] = np.insert(others[mask], axis, leading[mask], axis=1)
-    return quat
+    return complete_quaternions((word >> np.uint32(30)).astype(int), others)

@@ -1,26 +1,35 @@
 """Registry of Gaussian file formats, selected by the suffix of the name."""
 
+from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 
 from vgmpi.gaussians.capture_conventions import in_ply_frame
 from vgmpi.gaussians.cloud import GaussianCloud
 
-from . import gltf, ksplat, ply, sog, splat, spz
+from . import gltf, ply, sog, spz
+from .splat import read_ksplat, read_splat, write_splat
 from .validation import GaussianFileError
 
 GLTF, SOG, SPZ = ".glb", ".sog", ".spz"
 COMPRESSED = ".compressed.ply"  # suffix of a .ply in SuperSplat's layout
-KINDS: dict[str, ModuleType] = {
-    ".ply": ply,
-    ".splat": splat,
-    SPZ: spz,
-    SOG: sog,
-    GLTF: gltf,
-    ".gltf": gltf,
-    ".ksplat": ksplat,
+KINDS: dict[str, Callable[[str | Path], GaussianCloud]] = {  # readers
+    ".ply": ply.read,
+    ".splat": read_splat,
+    SPZ: spz.read,
+    SOG: sog.read,
+    GLTF: gltf.read,
+    ".gltf": gltf.read,
+    ".ksplat": read_ksplat,
 }
-WRITTEN = (".ply", ".splat", SPZ, COMPRESSED, GLTF, SOG)  # suffixes of files that are written
+_WRITERS: dict[str, Callable[[str | Path, GaussianCloud], None]] = {
+    ".ply": ply.write,
+    ".splat": write_splat,
+    SPZ: spz.write,
+    COMPRESSED: ply.write_compressed,
+    GLTF: gltf.write,
+    SOG: sog.write,
+}
+WRITTEN = tuple(_WRITERS)  # suffixes of files that are written
 _CONVERSION = "convert it to .ply or .sog, for example with splat-transform (PlayCanvas)"
 UNREADABLE = {  # formats of Gaussians that are not read
     ".lcc": "XGRIDS's LCC",
@@ -51,8 +60,7 @@ def read(path: str | Path, frame: str | None = None) -> GaussianCloud:
         GaussianFileError: If the file is not readable.
         ValueError: If the name is not that of a frame.
     """
-    module = _format_module(path)
-    return in_ply_frame(module.read(path), frame, Path(path).suffix.lower())
+    return in_ply_frame(_reader(path)(path), frame, Path(path).suffix.lower())
 
 
 def write(path: str | Path, cloud: GaussianCloud, spz_version: int = spz.DEFAULT_VERSION) -> None:
@@ -68,21 +76,21 @@ def write(path: str | Path, cloud: GaussianCloud, spz_version: int = spz.DEFAULT
         OSError: If the file cannot be written.
     """
     name = Path(path).name.lower()
-    if not name.endswith(WRITTEN):
-        _format_module(path)
+    suffixes = [suffix for suffix in WRITTEN if name.endswith(suffix)]
+    if not suffixes:
+        _reader(path)
         raise GaussianFileError(
             f"{path}: this format is only read: written are {', '.join(WRITTEN)}"
         )
-    if name.endswith(COMPRESSED):
-        ply.write_compressed(path, cloud)
-    elif name.endswith(SPZ):
+    suffix = max(suffixes, key=len)  # a compressed .ply ends in .ply, too
+    if suffix == SPZ:
         spz.write(path, cloud, spz_version)
     else:
-        _format_module(path).write(path, cloud)
+        _WRITERS[suffix](path, cloud)
 
 
-def _format_module(path: str | Path) -> ModuleType:
-    """Return the module of a file's format."""
+def _reader(path: str | Path) -> Callable[[str | Path], GaussianCloud]:
+    """Return the reader of a file's format."""
     suffix = Path(path).suffix.lower()
     if suffix in UNREADABLE:
         raise GaussianFileError(f"{path}: is {UNREADABLE[suffix]}, not read: {_CONVERSION}")

@@ -172,9 +172,14 @@ def morton_order(x: np.ndarray, spacing: float) -> np.ndarray:
     if not len(x):
         return np.zeros(0, np.int64)
     lattice = np.clip((x - x.min(axis=0)) / spacing, 0, (1 << 20) - 1).astype(np.uint64)
-    code = np.zeros(len(x), np.uint64)
-    for bit in range(20):
+    return np.argsort(morton_keys(lattice, 20), kind="stable")
+
+
+def morton_keys(cells: np.ndarray, bits: int) -> np.ndarray:
+    """Return the Morton keys (n,) uint64 of cells (n, 3) uint64 of `bits` bits along each axis."""
+    keys = np.zeros(len(cells), np.uint64)
+    for bit in range(bits):
         for axis in range(3):
-            digit = (lattice[:, axis] >> np.uint64(bit)) & np.uint64(1)
-            code |= digit << np.uint64(3 * bit + axis)
-    return np.argsort(code, kind="stable")
+            digit = (cells[:, axis] >> np.uint64(bit)) & np.uint64(1)
+            keys |= digit << np.uint64(3 * bit + axis)
+    return keys

@@ -1,9 +1,9 @@
 """Reader and writer of SOG files, spatially ordered Gaussians (PlayCanvas), as one ZIP archive.
 
 A .sog holds meta.json and lossless WebP pictures with a pixel per Gaussian, row by row. Version 2
-and the older layout without a version are read; version 2 is written. SuperSplat, PlayCanvas and
-Spark read these files, also as streams. Members, pictures and counts are bounded by the size of the
-archive before they are unpacked.
+and the older layout without a version are read; version 2 is written. Members,
+pictures and counts are bounded by the size of the archive before they are unpacked. SuperSplat,
+PlayCanvas and Spark read these files, also as streams.
 
 The specification names the axes right, up, back; the programs of its authors write the axes of a
 .ply unchanged. Here, as there, a cloud is what its .ply would hold.
@@ -26,7 +26,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from vgmpi.gaussians.cloud import CaptureRecord, GaussianCloud
+from vgmpi.gaussians.cloud import OTHER_AXES, CaptureRecord, GaussianCloud, complete_quaternions
 from vgmpi.gaussians.spherical_harmonics import degree_omissions
 from vgmpi.runtime.user_files import replace_file
 
@@ -46,7 +46,6 @@ _FREE, _RATIO = 1 << 22, 200  # [bytes] that any file may expand to; factor for 
 _MARGIN = 1 << 20  # [bytes] by which a member may be larger than the archive
 _SPARE_PIXELS = 1 << 16  # [pixels] of a picture that hold no Gaussian, beside three in four
 _LEADING = 252  # byte of a quaternion whose first component is left out
-_OTHERS = np.array([(1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)])  # its other components
 _ZIP_ERRORS = (
     zipfile.BadZipFile, NotImplementedError, RuntimeError, ValueError, EOFError, KeyError,
     OverflowError, struct.error, zlib.error,
@@ -352,10 +351,7 @@ def _read_rotation(pixels: np.ndarray) -> np.ndarray:
     valid = leading >= 0
     leading = np.where(valid, leading, 0)
     small = (pixels[:, :3] / 255.0 - 0.5) * np.sqrt(2)
-    quat = np.empty((len(pixels), 4))
-    np.put_along_axis(quat, _OTHERS[leading], small, axis=1)
-    omitted = np.sqrt(np.maximum(0.0, 1 - (small**2).sum(axis=1)))
-    np.put_along_axis(quat, leading[:, None], omitted[:, None], axis=1)
+    quat = complete_quaternions(leading, small)
     quat[~valid] = 0.0
     return quat
 
@@ -407,7 +403,7 @@ def _add_shapes(meta: dict, pictures: dict, cloud: GaussianCloud) -> None:
     leading_index = np.abs(cloud.quat).argmax(axis=1)
     leading = np.take_along_axis(cloud.quat, leading_index[:, None], axis=1)
     quat = cloud.quat * np.where(leading < 0, -1.0, 1.0)
-    small = np.take_along_axis(quat, _OTHERS[leading_index], axis=1)
+    small = np.take_along_axis(quat, OTHER_AXES[leading_index], axis=1)
     rows = np.empty((len(cloud), 4), np.uint8)
     rows[:, :3] = np.rint(np.clip(small * np.sqrt(0.5) + 0.5, 0, 1) * 255)
     rows[:, 3] = _LEADING + leading_index

@@ -42,9 +42,9 @@ _NUMBER = struct.Struct("<I")
 
 _COLOR = 0.15 * 255  # [-] the byte of a constant coefficient c is 127.5 + _COLOR c
 _FRACTION_BITS = 16  # [bits] of a written position where 24 bits allow it: 15 micrometers
-GZIP_VERSIONS = (1, 2, 3)
-ZSTD_VERSION = 4
-ANTIALIASED, EXTENDED = 1, 2  # bits of the flags
+_GZIP_VERSIONS = (1, 2, 3)
+_ZSTD_VERSION = 4
+_ANTIALIASED, _EXTENDED = 1, 2  # bits of the flags
 
 _MAGIC = b"NGSP"
 _HEADER = struct.Struct("<4sIIBBBB")  # magic, version, count, degree, fraction bits, flags, streams
@@ -57,7 +57,7 @@ _RECORDS_LIMIT = 1 << 20  # [bytes] of extension records that are read; those of
 _ZSTD_LEVEL = 12  # as in Niantic's program
 
 
-class Header(NamedTuple):
+class _Header(NamedTuple):
     """First 16 bytes of a file."""
 
     magic: bytes
@@ -78,10 +78,10 @@ class Header(NamedTuple):
         ]
 
 
-class Content(NamedTuple):
+class _Content(NamedTuple):
     """Unpacked file: header, bytes of the six attributes, and extension records as one block."""
 
-    header: Header
+    header: _Header
     attributes: list[np.ndarray]
     records: bytes
 
@@ -93,14 +93,14 @@ def read(path: str | Path) -> GaussianCloud:
         GaussianFileError: If the file is not readable.
     """
     with naming_file(path), open(path, "rb") as file:
-        header, attributes, records = unpack_file(file)
+        header, attributes, records = _unpack_file(file)
         columns = [part.reshape(header.count, -1) for part in attributes]
         cloud = read_validated(
             header.count,
             lambda a, b: _decoded(header, *(column[a:b] for column in columns)),
             _capture_record(header, records),
         )
-    return replace(cloud, is_antialiased=bool(header.flags & ANTIALIASED))
+    return replace(cloud, is_antialiased=bool(header.flags & _ANTIALIASED))
 
 
 def write(path: str | Path, cloud: GaussianCloud, version: int = DEFAULT_VERSION) -> None:
@@ -131,18 +131,18 @@ def write(path: str | Path, cloud: GaussianCloud, version: int = DEFAULT_VERSION
         _packed_rotation(cloud.quat),
         _bytes(128 * cloud.sh[:, 1:].astype(np.float64) + 128),
     )
-    flags = ANTIALIASED if cloud.is_antialiased else 0
-    header = new_header(version, len(cloud), degree, bits, flags)
-    frame = pack_record(_FRAME_RECORD, _NUMBER.pack(_FRAMES.index(PLY_FRAME) + 1))
-    replace_file(path, *pack_file(header, [part.tobytes() for part in sections], frame))
+    flags = _ANTIALIASED if cloud.is_antialiased else 0
+    header = _new_header(version, len(cloud), degree, bits, flags)
+    frame = _pack_record(_FRAME_RECORD, _NUMBER.pack(_FRAMES.index(PLY_FRAME) + 1))
+    replace_file(path, *_pack_file(header, [part.tobytes() for part in sections], frame))
 
 
-def _capture_record(header: Header, data: bytes) -> CaptureRecord:
+def _capture_record(header: _Header, data: bytes) -> CaptureRecord:
     """Return what a file says beside its Gaussians; data: its extension records."""
-    records, is_complete = unpack_records(data)
+    records, is_complete = _unpack_records(data)
     frame, source = "", "taken as in a .ply, the file does not say"
     doubts, omissions = [], list(degree_omissions(header.degree))
-    if not is_complete or (header.flags & EXTENDED and not records):
+    if not is_complete or (header.flags & _EXTENDED and not records):
         doubts.append("its extension records are missing or cut off")
     frames = [content for kind, content in records if kind == _FRAME_RECORD]
     if frames:  # the first counts, as in Niantic's program
@@ -159,7 +159,7 @@ def _capture_record(header: Header, data: bytes) -> CaptureRecord:
         encoding=f".spz, version {header.version}",
         frame=frame,
         frame_source=source,
-        render_model_source="said by the file's flag" if header.flags & ANTIALIASED else "",
+        render_model_source="said by the file's flag" if header.flags & _ANTIALIASED else "",
         doubts=tuple(doubts),
         omissions=tuple(omissions),
     )
@@ -170,7 +170,7 @@ def _bytes(values: np.ndarray) -> np.ndarray:
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)
 
 
-def _decoded(header: Header, x, opacity, color, scale, quat, higher) -> Columns:
+def _decoded(header: _Header, x, opacity, color, scale, quat, higher) -> Columns:
     """Decode bytes to columns; x (n, 9 or 6), opacity (n, 1), ..., higher (n, 3 (K - 1))."""
     n = len(x)
     if header.version == 1:
@@ -225,7 +225,7 @@ def _packed_rotation(quat: np.ndarray) -> np.ndarray:
     return word
 
 
-def unpack_file(file: BinaryIO) -> Content:
+def _unpack_file(file: BinaryIO) -> _Content:
     """Return the content of an open file of version 1 to 4.
 
     Raises:
@@ -240,17 +240,17 @@ def unpack_file(file: BinaryIO) -> Content:
     raise GaussianFileError("is not a .spz file (neither gzip nor 'NGSP' at its beginning)")
 
 
-def pack_file(header: Header, attributes: Sequence[bytes], records: bytes) -> list[bytes]:
+def _pack_file(header: _Header, attributes: Sequence[bytes], records: bytes) -> list[bytes]:
     """Return the parts of a file of version 1 to 4, of which `header` gives magic and version.
 
     Args:
         header: Header without magic, streams and the flag of extensions.
         attributes: Bytes of the six attributes.
-        records: Extension records, see `pack_record`.
+        records: Extension records, see `_pack_record`.
     """
-    flags = header.flags | (EXTENDED if records else 0)
+    flags = header.flags | (_EXTENDED if records else 0)
     header = header._replace(magic=_MAGIC, flags=flags)
-    if header.version != ZSTD_VERSION:
+    if header.version != _ZSTD_VERSION:
         packer = zlib.compressobj(6, zlib.DEFLATED, 31)  # 31: a gzip frame without a time stamp
         parts = (_HEADER.pack(*header._replace(streams=0)), *attributes, records)
         return [*(packer.compress(part) for part in parts), packer.flush()]
@@ -266,7 +266,7 @@ def pack_file(header: Header, attributes: Sequence[bytes], records: bytes) -> li
     ]
 
 
-def new_header(version: int, count: int, degree: int, fraction_bits: int, flags: int) -> Header:
+def _new_header(version: int, count: int, degree: int, fraction_bits: int, flags: int) -> _Header:
     """Return the header of a file to be written.
 
     Args:
@@ -274,17 +274,17 @@ def new_header(version: int, count: int, degree: int, fraction_bits: int, flags:
         count: Gaussians.
         degree: Degree of the colors.
         fraction_bits: Bits of positions behind the point.
-        flags: Sum of the bits, without EXTENDED.
+        flags: Sum of the bits, without _EXTENDED.
     """
-    return Header(_MAGIC, version, count, degree, fraction_bits, flags, 0)
+    return _Header(_MAGIC, version, count, degree, fraction_bits, flags, 0)
 
 
-def pack_record(kind: int, content: bytes) -> bytes:
+def _pack_record(kind: int, content: bytes) -> bytes:
     """Return one extension record."""
     return _RECORD.pack(kind, len(content)) + content
 
 
-def unpack_records(data: bytes) -> tuple[list[tuple[int, bytes]], bool]:
+def _unpack_records(data: bytes) -> tuple[list[tuple[int, bytes]], bool]:
     """Return type and content of the extension records, and whether the block ends with one."""
     records: list[tuple[int, bytes]] = []
     start = 0
@@ -297,7 +297,7 @@ def unpack_records(data: bytes) -> tuple[list[tuple[int, bytes]], bool]:
     return records, start == len(data)
 
 
-def _header(data: bytes, versions: tuple[int, ...], size: int) -> Header:
+def _header(data: bytes, versions: tuple[int, ...], size: int) -> _Header:
     """Decode and check the header of a file of `size` bytes.
 
     Raises:
@@ -305,7 +305,7 @@ def _header(data: bytes, versions: tuple[int, ...], size: int) -> Header:
     """
     if len(data) < _HEADER.size:
         raise GaussianFileError("ends within its header: truncated?")
-    header = Header(*_HEADER.unpack_from(data))
+    header = _Header(*_HEADER.unpack_from(data))
     if header.magic != _MAGIC:
         raise GaussianFileError("is not a .spz file (its header does not begin with 'NGSP')")
     if header.version not in versions:
@@ -327,7 +327,7 @@ def _header(data: bytes, versions: tuple[int, ...], size: int) -> Header:
     return header
 
 
-def _unpack_gzip(file: BinaryIO, size: int) -> Content:
+def _unpack_gzip(file: BinaryIO, size: int) -> _Content:
     """Return the content of versions 1 to 3."""
     unpacker = zlib.decompressobj(31)
     pending = b""
@@ -347,31 +347,31 @@ def _unpack_gzip(file: BinaryIO, size: int) -> Content:
             pending = unpacker.unconsumed_tail
         return out
 
-    header = _header(bytes(take(_HEADER.size)), GZIP_VERSIONS, size)
+    header = _header(bytes(take(_HEADER.size)), _GZIP_VERSIONS, size)
     attributes = []
     for expected in header.sizes():
         part = take(expected)
         if len(part) < expected:
             raise GaussianFileError(f"ends before its {header.count:,} Gaussians do: truncated?")
         attributes.append(np.frombuffer(part, np.uint8))
-    if header.flags & EXTENDED:
-        return Content(header, attributes, bytes(take(_RECORDS_LIMIT)))
+    if header.flags & _EXTENDED:
+        return _Content(header, attributes, bytes(take(_RECORDS_LIMIT)))
     if take(1):
         raise GaussianFileError(f"holds more than its {header.count:,} Gaussians: a broken header?")
-    return Content(header, attributes, b"")
+    return _Content(header, attributes, b"")
 
 
-def _unpack_zstd(file: BinaryIO, size: int) -> Content:
+def _unpack_zstd(file: BinaryIO, size: int) -> _Content:
     """Return the content of version 4."""
     length = _HEADER.size + _HEADER_4.size
     head = file.read(length)
-    header = _header(head, (ZSTD_VERSION,), size)
+    header = _header(head, (_ZSTD_VERSION,), size)
     if len(head) < length:
         raise GaussianFileError("ends within its header: truncated?")
     sizes = [expected for expected in header.sizes() if expected]
     (offset,) = _HEADER_4.unpack_from(head, _HEADER.size)
     records = b""
-    if header.flags & EXTENDED and offset > length:
+    if header.flags & _EXTENDED and offset > length:
         records = file.read(min(offset - length, _RECORDS_LIMIT))
     file.seek(offset)
     table = file.read(header.streams * _STREAM.size)
@@ -389,7 +389,7 @@ def _unpack_zstd(file: BinaryIO, size: int) -> Content:
         raise GaussianFileError("holds more than its streams: a broken table?")
     if header.degree == 0:
         attributes.append(np.empty(0, np.uint8))
-    return Content(header, attributes, records)
+    return _Content(header, attributes, records)
 
 
 def _unpack_stream(data: bytes, size: int) -> bytes:

@@ -19,6 +19,7 @@ import scipy
 
 from vgmpi.gaussians import shape_evolution
 from vgmpi.gaussians.cloud import GaussianCloud, rotation_matrices
+from vgmpi.gaussians.formats.residual_coding import morton_keys
 
 AUTO_DECIBELS = 40.0  # [dB] PSNR of the images at rest that "auto" maintains
 AUTO_PER_CELL = 8  # particles per cell that "auto" leaves at least
@@ -238,12 +239,7 @@ def morton(x: np.ndarray) -> np.ndarray:
     low = x.min(axis=0)
     edge = max(float((x.max(axis=0) - low).max()), 1e-300)
     cell = np.minimum((x - low) / edge * 2**_MORTON_BITS, 2**_MORTON_BITS - 1).astype(np.uint64)
-    key = np.zeros(len(x), dtype=np.uint64)
-    for bit in range(_MORTON_BITS):
-        for axis in range(3):
-            digit = (cell[:, axis] >> np.uint64(bit)) & np.uint64(1)
-            key |= digit << np.uint64(3 * bit + axis)
-    return key
+    return morton_keys(cell, _MORTON_BITS)
 
 
 def _pruned(cloud, volume, skin, probability, passive: bool) -> PrunedCloud:

@@ -24,6 +24,12 @@ _TOKEN = re.compile(
     r"|[\[\]{},=.]|\n\s*+",
     re.DOTALL | re.MULTILINE,
 )
+BARE = re.compile(r"[A-Za-z0-9_-]+")
+BASIC = re.compile(r'"(?:[^"\\\n]|\\.)*"')
+LITERAL = re.compile(r"'[^'\n]*'")
+_SPACE = re.compile(r"(?:[ \t\r\n]+|#[^\n]*)*")
+_LONG = re.compile(r'"""(?:[^\\]|\\.)*?"{3,5}(?!")' + r"|'''.*?'{3,5}(?!')", re.DOTALL)
+_SCALAR = re.compile(r"[^,\]}\n#]*")
 
 
 class Excess(NamedTuple):
@@ -54,14 +60,6 @@ def find_excess(text: str) -> Excess | None:
             message = too_many if item_count > MAX_ITEMS else TOO_DEEP
             return Excess(text.count("\n", 0, match.start()) + 1, message)
     return None
-
-
-BARE = re.compile(r"[A-Za-z0-9_-]+")
-BASIC = re.compile(r'"(?:[^"\\\n]|\\.)*"')
-LITERAL = re.compile(r"'[^'\n]*'")
-_SPACE = re.compile(r"(?:[ \t\r\n]+|#[^\n]*)*")
-_LONG = re.compile(r'"""(?:[^\\]|\\.)*?"{3,5}(?!")' + r"|'''.*?'{3,5}(?!')", re.DOTALL)
-_SCALAR = re.compile(r"[^,\]}\n#]*")
 
 
 def locate_keys(text: str) -> dict[tuple, int]:

@@ -2,14 +2,12 @@
 
 import json
 import math
-import re
 from typing import Any
 
 import numpy as np
 
+from .toml_scan import BARE
 from .toml_source import escape_control_characters
-
-_BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def text(top: dict[str, Any], head: list[str], tail: list[str]) -> str:
@@ -52,7 +50,7 @@ def _lines(table: dict[str, Any]) -> list[str]:
 
 def _key(name: str) -> str:
     """Return a key, quoted if necessary."""
-    return name if _BARE.fullmatch(name) else _string(name)
+    return name if BARE.fullmatch(name) else _string(name)
 
 
 def _string(value: str) -> str:
