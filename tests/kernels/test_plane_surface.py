@@ -10,7 +10,7 @@ last two.
 import numpy as np
 import pytest
 
-from vgmpi.kernels.transfer import density_correction
+from vgmpi.kernels.transfer import liquid_volume
 from vgmpi.kernels.transfer import particle_shifting as shifting
 
 OFFSETS = np.arange(40) / 40  # [cells] of the surface beyond a node
@@ -51,6 +51,6 @@ def test_nothing_is_missing_below_a_plane_surface(rows):
     assert abs(missing.mean()) < 0.005
     assert np.sqrt((missing**2).mean()) < 0.02
     assert missing.min() > -0.07
-    plain = balance(rows, density_correction.SURFACE_SLOPE, 0.0)
+    plain = balance(rows, liquid_volume.SURFACE_SLOPE, 0.0)
     assert np.sqrt((plain**2).mean()) > 0.02
     assert plain.min() < -0.07

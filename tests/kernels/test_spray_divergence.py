@@ -7,7 +7,7 @@ from tests.support.bsplines import quadratic_bspline
 from tests.support.engine_pair import beside, worst
 from tests.support.simulate import begin, by_id
 from tests.support.small_scenes import MIXES_WITH_MILK, SEEPS_THROUGH_GRAINS, WEIGHTLESS
-from vgmpi.kernels.transfer.spray_divergence import (
+from vgmpi.kernels.transfer.liquid_volume import (
     FULL_RESPONSE_FILL,
     LEAST_RESPONSE,
     LEAST_RESPONSE_FILL,

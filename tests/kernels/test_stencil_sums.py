@@ -9,11 +9,7 @@ from hypothesis import strategies as st
 from numba import njit
 
 from tests.benchmarks import register_spills
-from vgmpi.kernels import (  # noqa: F401  (their functions)
-    cell_stencil_sums,
-    stencil_sums,
-    stencil_values,
-)
+from vgmpi.kernels import cell_stencil_sums, stencil_sums  # noqa: F401  (their functions)
 from vgmpi.kernels.particle_records import PATCH, PLANE, ROW
 from vgmpi.kernels.simd import row_ops, vector16
 from vgmpi.runtime.cpu_features import widest
@@ -75,7 +71,7 @@ def test_values_alone_add_what_records_without_slopes_add(precision):
     @njit
     def add_both(records, weights, base, whole, values):
         stencil_sums.scatter(60, records, weights, base, whole)
-        stencil_values.scatter_values(60, records, weights, base, values)
+        stencil_sums.scatter_values(60, records, weights, base, values)
 
     add_both(records.reshape(-1), weights.reshape(-1), base, *patches)
     assert np.array_equal(*patches)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.support.small_scenes import scene
-from vgmpi.kernels import step_limits
+from vgmpi.kernels import kernel_arguments
 from vgmpi.materials.couplings.interaction import CONTACT
 from vgmpi.materials.couplings.mixing import Mixing
 from vgmpi.materials.material import law_function
@@ -125,14 +125,17 @@ def number(said):
 @pytest.mark.parametrize(
     "said, numbers",
     [
-        (r"\|v\| / \((\S+) dx\)", (step_limits.MAX_CELLS_PER_STEP,)),
-        (r"\|tr C\| / (\S+) ", (step_limits.MAX_VOLUME_STRAIN_PER_STEP,)),
-        (r"when J leaves (\S+) \.\. (\S+),", (step_limits.J_MIN, step_limits.J_MAX)),
+        (r"\|v\| / \((\S+) dx\)", (kernel_arguments.MAX_CELLS_PER_STEP,)),
+        (r"\|tr C\| / (\S+) ", (kernel_arguments.MAX_VOLUME_STRAIN_PER_STEP,)),
+        (r"when J leaves (\S+) \.\. (\S+),", (kernel_arguments.J_MIN, kernel_arguments.J_MAX)),
         (
             r"A node lighter than (\S+) of a\s+full cell stays at rest",
-            (step_limits.NODE_MASS_FLOOR,),
+            (kernel_arguments.NODE_MASS_FLOOR,),
         ),
-        (r"one lighter than (\S+) takes no part in contact", (step_limits.CONTACT_MASS_FLOOR,)),
+        (
+            r"one lighter than (\S+) takes no part in contact",
+            (kernel_arguments.CONTACT_MASS_FLOOR,),
+        ),
     ],
 )
 def test_the_theory_tells_the_same_limits(said, numbers):

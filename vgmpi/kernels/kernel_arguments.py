@@ -1,12 +1,26 @@
-"""Kernel arguments by name.
+"""Kernel arguments by name, and limits of a step.
 
 The tables hold the particles and segments of a group, the node blocks of a rank, the sums of a
-nodal field and the domain's walls.
+nodal field and the domain's walls. docs/explanation/time-step.md explains the limits. They stand in
+one place for kernels, engines and the solver, and in this folder because the cache of compiled code
+is named by its contents (runtime/jit.py): an edit here is seen.
 """
 
 from typing import NamedTuple
 
 import numpy as np
+
+MAX_CELLS_PER_STEP = 0.3  # [cells] largest displacement of a particle in a step
+MAX_VOLUME_STRAIN_PER_STEP = (
+    0.1  # [-] largest relative volume change of a particle in a step: |tr C| dt
+)
+J_MIN, J_MAX = 0.1, 5.0  # [-] bounds of a particle's volume ratio; beyond them the run ends
+
+# fractions of the mass of one full cell of the phase's lightest material
+NODE_MASS_FLOOR = 1e-20  # [-] a lighter node holds rounding errors only, and stays at rest
+# [-] A lighter node takes no part in contact: its sums (kernels/reproducible_sums.py) have fewer
+# digits than a number in single precision, and directions would suffer.
+CONTACT_MASS_FLOOR = 2.0**-21
 
 
 class Particles(NamedTuple):

@@ -32,7 +32,7 @@ from vgmpi.kernels.simd.reproducible_add import (
 from vgmpi.kernels.simd.vector16 import SIMD_WIDTH, load, pointer, prefetch, store
 from vgmpi.runtime.jit import borrowing_kernel, device_function
 
-from .patch import row_of
+from .particle_records import row_of
 from .wall_boundary import SIDE
 
 ACCUMULATOR_BITS = 46  # binary digits that a sum keeps below its scale

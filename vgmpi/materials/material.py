@@ -218,14 +218,7 @@ class HyperelasticMaterial(Material):
 
     @staticmethod
     def advance(law, state, L, dt):
-        """Return the state after a step dt [s] of L = grad v [1/s].
-
-        Args:
-            law: Parameters of the law.
-            state: State of the particle.
-            L: Velocity gradient, nine components, row by row [1/s].
-            dt: Time step [s].
-        """
+        """Return the state after a step dt [s] of L = grad v [1/s], nine components, row by row."""
         return (*update_deformation_gradient(state[:9], L, dt), *state[9:])
 
     @staticmethod

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from vgmpi.kernels.step_limits import J_MAX, J_MIN
+from vgmpi.kernels.kernel_arguments import J_MAX, J_MIN
 from vgmpi.kernels.transfer import g2p
 from vgmpi.scene.sections import WALLS
 from vgmpi.solver.engines.engine_protocol import StepReport

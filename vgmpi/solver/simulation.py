@@ -4,9 +4,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from vgmpi.kernels.kernel_arguments import MAX_CELLS_PER_STEP
 from vgmpi.kernels.rigid.moving_colliders import place_colliders
 from vgmpi.kernels.rigid.prescribed_motion import PrescribedBodies
-from vgmpi.kernels.step_limits import MAX_CELLS_PER_STEP
 from vgmpi.kernels.transfer import g2p
 from vgmpi.kernels.transfer.particle_shifting import MAX_SHIFT_CELLS
 from vgmpi.parallel import exchange_topology, migration

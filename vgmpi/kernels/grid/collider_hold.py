@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from vgmpi.kernels.kernel_arguments import CONTACT_MASS_FLOOR
 from vgmpi.kernels.reaction_impulses import (
     add_contact_reaction,
     add_prescribed_reaction,
     set_collider,
 )
-from vgmpi.kernels.step_limits import CONTACT_MASS_FLOOR
 from vgmpi.runtime.jit import always_inline, device_function
 
 from .contact_impulses import FULL_CONTACT_DISTANCE, NO_CONTACT_DISTANCE

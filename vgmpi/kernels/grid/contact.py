@@ -5,6 +5,7 @@ The rule for one pair and the impulses of all pairs of a node are in contact_imp
 
 from typing import NamedTuple
 
+from vgmpi.kernels.kernel_arguments import CONTACT_MASS_FLOOR
 from vgmpi.kernels.reaction_impulses import (
     add_contact_reaction,
     add_pair_reactions,
@@ -16,7 +17,6 @@ from vgmpi.kernels.reaction_impulses import (
 from vgmpi.kernels.rigid.prescribed_motion import EFFECTIVE_MASS_FACTOR
 from vgmpi.kernels.rigid.static_colliders import SDF_BAND_CELLS
 from vgmpi.kernels.simd.cooperative import strided_range, sync_threads
-from vgmpi.kernels.step_limits import CONTACT_MASS_FLOOR
 from vgmpi.kernels.wall_boundary import project_tangential
 from vgmpi.materials.couplings.interaction import CONTACT
 from vgmpi.runtime.jit import always_inline, device_function

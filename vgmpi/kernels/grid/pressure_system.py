@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vgmpi.kernels.simd.plane_ops import (
+from vgmpi.kernels.simd.row_ops import (
     shift_from_above,
     shift_from_below,
     shift_from_north,

@@ -7,16 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vgmpi.kernels.kernel_arguments import Sums
+from vgmpi.kernels.kernel_arguments import NODE_MASS_FLOOR, Sums
 from vgmpi.kernels.reaction_impulses import set_block
 from vgmpi.kernels.reproducible_sums import blocks_at, finalize_node_block, sums_at
 from vgmpi.kernels.rigid.prescribed_motion import PrescribedSteps
 from vgmpi.kernels.rigid.prescribed_transfer import set_prescribed_velocity
 from vgmpi.kernels.simd.cooperative import flat_pointer, strided_range, sync_threads
-from vgmpi.kernels.simd.node_row_ops import fourth_of, velocity, with_fourth
-from vgmpi.kernels.simd.row_ops import broadcast, tile
+from vgmpi.kernels.simd.row_ops import broadcast, fourth_of, tile, velocity, with_fourth
 from vgmpi.kernels.simd.vector16 import load, pointer, store
-from vgmpi.kernels.step_limits import NODE_MASS_FLOOR
 from vgmpi.kernels.wall_boundary import apply_wall_conditions, project_tangential
 from vgmpi.materials.couplings.interaction import CONTACT
 from vgmpi.materials.tensor_math.select import select
@@ -24,8 +22,7 @@ from vgmpi.runtime.jit import borrowing_kernel, device_function
 
 from .collider_hold import pushed_phase
 from .contact import apply_contact, has_several_parties
-from .mixture_coupling import BlockContext, NodalFields, couple_block
-from .mixture_flux import store_mixture_values
+from .mixture_coupling import BlockContext, NodalFields, couple_block, store_mixture_values
 from .mixture_workspace import to_pointers
 from .sided_phases import part_sides, unite_sides
 

@@ -16,25 +16,31 @@ from vgmpi.kernels.particle_records import (
     PATCH,
     box_of,
     compute_weights,
+    load_patch,
     node_range,
     split_scratch,
     zero_padding,
 )
-from vgmpi.kernels.patch import load_patch
 from vgmpi.kernels.reproducible_sums import (
     blocks_at,
     finalize_node_block,
     next_power_of_two,
     sums_at,
 )
-from vgmpi.kernels.simd.node_row_ops import fourth_of, with_fourth
-from vgmpi.kernels.simd.row_ops import broadcast, load_records, store_records
+from vgmpi.kernels.simd.row_ops import (
+    broadcast,
+    fourth_of,
+    load_records,
+    store_records,
+    with_fourth,
+)
 from vgmpi.kernels.simd.vector16 import load, pointer, store
-from vgmpi.kernels.stencil_sums import gather_value, scatter
+from vgmpi.kernels.stencil_sums import gather_value
 from vgmpi.materials.tensor_math.select import select
 from vgmpi.runtime.jit import borrowing_kernel, device_function, kernel
 
 from .field_protocol import MIRROR_NONE, accumulate, particle_contribution
+from .momentum import by_weights
 from .surface_distance import current_volumes
 
 
@@ -79,9 +85,7 @@ def _color(kind, law, count, offset, cap, f, extra, peak, records, dt):
         )  # fmt: skip
 
 
-@accumulate.of(Color)
-def _add(kind, count, records, weights, base, patch):
-    scatter(count, records, weights, base, patch)
+accumulate.of(Color)(by_weights)
 
 
 @borrowing_kernel

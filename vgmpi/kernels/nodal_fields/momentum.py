@@ -10,11 +10,10 @@ import numpy as np
 
 from vgmpi.kernels.particle_records import AFFINE, STATE, VOLUME, load_tensor
 from vgmpi.kernels.reproducible_sums import next_power_of_two
-from vgmpi.kernels.simd.mask_ops import first_n
 from vgmpi.kernels.simd.material_dispatch import load_state_vector, stress
 from vgmpi.kernels.simd.row_ops import broadcast, max_ignore_nan, store_records
 from vgmpi.kernels.simd.static_dispatch import static_dispatch
-from vgmpi.kernels.simd.vector16 import load, store
+from vgmpi.kernels.simd.vector16 import first_n, load, store
 from vgmpi.kernels.stencil_sums import scatter, scatter_slopes
 
 from .field_protocol import MIRROR_IMPULSE, accumulate, particle_contribution
@@ -33,7 +32,7 @@ class Momentum(NamedTuple):
 class MomentumWithoutPressure(NamedTuple):
     """Contribution of momentum, mass and the impulse of deviatoric stress.
 
-    Pressure acts by cells (cell_pressure.py) or implicitly (kernels/grid/pressure_system.py).
+    Pressure acts by cells (liquid_volume.py) or implicitly (kernels/grid/pressure_system.py).
     """
 
     mirror: float  # code of nodal_fields/field_protocol.py
@@ -165,3 +164,15 @@ def by_slopes(kind, count, records, weights, base, patch):
         scatter_slopes(count, records, weights, base, patch)
     else:
         scatter(count, records, weights, base, patch)
+
+
+def by_weights(kind, count, records, weights, base, patch):
+    """Add records to a patch by weights, for fields of any kind.
+
+    Args:
+        kind: Contribution kind.
+        count: Number of records.
+        records, weights, base: See stencil_sums.scatter.
+        patch: Patch (in/out), shape (2048,).
+    """
+    scatter(count, records, weights, base, patch)

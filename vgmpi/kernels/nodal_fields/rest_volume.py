@@ -12,9 +12,9 @@ from vgmpi.kernels.particle_records import VOLUME
 from vgmpi.kernels.reproducible_sums import next_power_of_two
 from vgmpi.kernels.simd.row_ops import broadcast, store_records
 from vgmpi.kernels.simd.vector16 import load
-from vgmpi.kernels.stencil_sums import scatter
 
 from .field_protocol import MIRROR_VECTOR, accumulate, particle_contribution
+from .momentum import by_weights
 
 
 class RestVolume(NamedTuple):
@@ -48,6 +48,4 @@ def _rest_volume(kind, law, count, offset, cap, f, extra, peak, records, dt):
         )  # fmt: skip
 
 
-@accumulate.of(RestVolume)
-def _add(kind, count, records, weights, base, patch):
-    scatter(count, records, weights, base, patch)
+accumulate.of(RestVolume)(by_weights)

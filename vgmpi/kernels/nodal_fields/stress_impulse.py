@@ -9,10 +9,9 @@ import numpy as np
 
 from vgmpi.kernels.particle_records import AFFINE, STATE, VOLUME, load_tensor
 from vgmpi.kernels.reproducible_sums import next_power_of_two
-from vgmpi.kernels.simd.mask_ops import first_n
 from vgmpi.kernels.simd.material_dispatch import load_state_vector, stress, volume_ratio
 from vgmpi.kernels.simd.row_ops import broadcast, max_ignore_nan, store_records
-from vgmpi.kernels.simd.vector16 import load, store
+from vgmpi.kernels.simd.vector16 import first_n, load, store
 
 from . import momentum
 from .field_protocol import MIRROR_IMPULSE, accumulate, particle_contribution

@@ -18,12 +18,12 @@ from vgmpi.kernels.reproducible_sums import next_power_of_two
 from vgmpi.kernels.simd.material_dispatch import load_state_vector, volume_ratio
 from vgmpi.kernels.simd.row_ops import diagonal, fourth, store_records
 from vgmpi.kernels.simd.vector16 import load, store
-from vgmpi.kernels.stencil_sums import scatter
 from vgmpi.materials.tensor_math.select import select
 from vgmpi.materials.tensor_math.tensor import cofactors, product, product_transposed
 from vgmpi.runtime.jit import device_function
 
 from .field_protocol import MIRROR_MOMENT, accumulate, particle_contribution
+from .momentum import by_weights
 
 
 class Offsets(NamedTuple):
@@ -160,8 +160,5 @@ def _surface(kind, law, count, offset, cap, f, extra, peak, records, dt):
         )  # fmt: skip
 
 
-@accumulate.of(Offsets)
-@accumulate.of(CurrentVolumeMoments)
-@accumulate.of(SurfaceDistance)
-def _add(kind, count, records, weights, base, patch):
-    scatter(count, records, weights, base, patch)
+for _kind in (Offsets, CurrentVolumeMoments, SurfaceDistance):
+    accumulate.of(_kind)(by_weights)

@@ -12,7 +12,7 @@ from vgmpi.kernels.grid.contact_impulses import (
     half_space_fraction,
     has_surface,
 )
-from vgmpi.kernels.step_limits import CONTACT_MASS_FLOOR
+from vgmpi.kernels.kernel_arguments import CONTACT_MASS_FLOOR
 from vgmpi.kernels.wall_boundary import SEPARATE, SLIP, STICK
 from vgmpi.runtime.jit import always_inline, array_function, device_function, kernel
 

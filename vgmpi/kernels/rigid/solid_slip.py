@@ -12,9 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from vgmpi.kernels.grid.contact_impulses import distance, normalize
-from vgmpi.kernels.kernel_arguments import Sums
+from vgmpi.kernels.kernel_arguments import CONTACT_MASS_FLOOR, Sums
 from vgmpi.kernels.reaction_impulses import add_prescribed_reaction, set_block, set_node
-from vgmpi.kernels.step_limits import CONTACT_MASS_FLOOR
 from vgmpi.runtime.jit import device_function, kernel
 
 from .body_nodes import (

@@ -1,8 +1,10 @@
-"""Vector operations on fixed-point positions, records and rows of nodes.
+"""Vector operations on fixed-point positions, records, rows and planes of nodes.
 
-A row is four nodes along z with four numbers each, abcd abcd abcd abcd, in one vector of 16. A
-particle touches nine rows; the fourth node of each has weight 0 and must hold finite numbers. A
-record is 16 numbers of one particle; 16 records are 16 vectors transposed.
+A row is four nodes along z with four numbers each, abcd abcd abcd abcd, in one vector of 16; after
+the transfer it is xyzm xyzm xyzm xyzm, a vector and a number per node. A particle touches nine
+rows; the fourth node of each has weight 0 and must hold finite numbers. A record is 16 numbers of
+one particle; 16 records are 16 vectors transposed. A plane is the 4 x 4 numbers of a block at one
+x, four numbers along z for each y.
 """
 
 from llvmlite import ir
@@ -17,6 +19,11 @@ from .vector16 import SIMD_WIDTH, VECTOR_OF, VectorType, address, broadcast_valu
 _I32 = ir.IntType(32)
 # Whether records are transposed four numbers at a time: registers are narrower than 64 bytes.
 QUARTERS = vector_bytes() < 64
+_FOURTH = [4 * (k // 4) + 3 for k in range(SIMD_WIDTH)]
+_BLEND = [
+    k if k % 4 < 3 else SIMD_WIDTH + k for k in range(SIMD_WIDTH)
+]  # first three of a, fourth of b
+EDGE = 4
 
 
 def _mask(lanes) -> ir.Constant:
@@ -357,3 +364,105 @@ def horizontal_max(typing, values):
         return builder.call(function, [arguments[0]])
 
     return values.real(values), _codegen
+
+
+@intrinsic
+def velocity(typing, row, push, min_mass):
+    """Convert momentum and mass of four nodes to velocity after `push`, and mass.
+
+    A node whose mass is not above the minimum is at rest.
+
+    Args:
+        row: Momentum and mass of the nodes [kg m/s, kg].
+        push: Velocity added to each node [m/s].
+        min_mass: Minimum mass [kg].
+    """
+
+    def _codegen(context, builder, signature, arguments):
+        row, push, min_mass = arguments
+        mass = builder.shuffle_vector(row, row, _mask(_FOURTH))
+        moved = builder.fadd(builder.fdiv(row, mass), push)
+        heavy = builder.fcmp_ordered(">", mass, min_mass)
+        moved = builder.select(heavy, moved, ir.Constant(row.type, [0.0] * SIMD_WIDTH))
+        return builder.shuffle_vector(moved, row, _mask(_BLEND))
+
+    return row(row, push, min_mass), _codegen
+
+
+@intrinsic
+def fourth_of(typing, row):
+    """Broadcast the fourth number of each node to all its lanes: xyzm -> mmmm."""
+
+    def _codegen(context, builder, signature, arguments):
+        return builder.shuffle_vector(arguments[0], arguments[0], _mask(_FOURTH))
+
+    return row(row), _codegen
+
+
+@intrinsic
+def with_fourth(typing, row, other):
+    """Return the vectors of a row with the fourth numbers of another."""
+
+    def _codegen(context, builder, signature, arguments):
+        return builder.shuffle_vector(arguments[0], arguments[1], _mask(_BLEND))
+
+    return row(row, row), _codegen
+
+
+@intrinsic
+def squared(typing, row):
+    """Return x^2 + y^2 + z^2 of each node in all its lanes."""
+
+    def _codegen(context, builder, signature, arguments):
+        square = builder.fmul(arguments[0], arguments[0])
+        x, y, z = (
+            builder.shuffle_vector(
+                square, square, _mask([4 * (k // 4) + c for k in range(SIMD_WIDTH)])
+            )
+            for c in range(3)
+        )
+        return builder.fadd(builder.fadd(x, y), z)
+
+    return row(row), _codegen
+
+
+def _shuffle_planes(lanes):
+    """Return the typing function of lanes of two vectors in sequence."""
+    mask = ir.Constant(ir.VectorType(ir.IntType(32), SIMD_WIDTH), list(lanes))
+
+    def _typing_function(typing, first, second):
+        def _codegen(context, builder, signature, arguments):
+            return builder.shuffle_vector(*arguments, mask)
+
+        return first(first, second), _codegen
+
+    return _typing_function
+
+
+_PLANE_ROWS = range(0, SIMD_WIDTH, EDGE)
+_BEFORE_Z = [k for r in _PLANE_ROWS for k in (r + 3, *(SIMD_WIDTH + r + z for z in range(3)))]
+_AFTER_Z = [k for r in _PLANE_ROWS for k in (r + 1, r + 2, r + 3, SIMD_WIDTH + r)]
+
+
+@intrinsic
+def shift_from_below(typing, below, plane):
+    """Return the values one step down along z; `below` is the plane of the block below."""
+    return _shuffle_planes(_BEFORE_Z)(typing, below, plane)
+
+
+@intrinsic
+def shift_from_above(typing, plane, above):
+    """Return the values one step up along z; `above` is the plane of the block above."""
+    return _shuffle_planes(_AFTER_Z)(typing, plane, above)
+
+
+@intrinsic
+def shift_from_south(typing, south, plane):
+    """Return the values one step back along y; `south` is the plane of the block before."""
+    return _shuffle_planes(range(SIMD_WIDTH - EDGE, 2 * SIMD_WIDTH - EDGE))(typing, south, plane)
+
+
+@intrinsic
+def shift_from_north(typing, plane, north):
+    """Return the values one step ahead along y; `north` is the plane of the block behind."""
+    return _shuffle_planes(range(EDGE, SIMD_WIDTH + EDGE))(typing, plane, north)

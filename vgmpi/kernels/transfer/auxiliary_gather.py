@@ -1,8 +1,8 @@
 """Particle quantities gathered besides the velocity, by kind.
 
 The kinds are: nothing; the volume flux and the drift where phases share space; the change of
-velocity for FLIP; or all of these. The density correction of liquids is a further kind, in
-density_correction.py.
+velocity for FLIP; or all of these. Further kinds are those of liquid_volume.py, which combine with
+any of the others, and of pressure_transfer.py.
 
 Each kind implements one interface: it loads patches of nodes for a segment (`load_patches`),
 gathers from them for a batch of particles (`gather_batch`), and says how the result enters the
@@ -16,8 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vgmpi.kernels.grid.mixture_coupling import MIN_POROSITY
-from vgmpi.kernels.particle_records import BATCH, patch_of, scatter_columns
-from vgmpi.kernels.patch import load_patch
+from vgmpi.kernels.particle_records import BATCH, load_patch, patch_of, scatter_columns
 from vgmpi.kernels.reaction_impulses import velocity_mirror_fraction
 from vgmpi.kernels.simd.row_ops import broadcast, max_ignore_nan
 from vgmpi.kernels.simd.static_dispatch import static_dispatch
@@ -347,3 +346,50 @@ def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
 @mixture_wave_speed_squared.of(FlipGather)
 def _(kind, f, p, cap, numbers, wave2):
     return wave2
+
+
+class MixtureFlipGather(NamedTuple):
+    """Kind of phases that share space and use FLIP or AFLIP."""
+
+    sharing: MixtureGather
+    blend: FlipGather
+
+
+@load_patches.of(MixtureFlipGather)
+def _(kind, blocks, box, mirror, real, ghosts, s):
+    load_patches(kind.sharing, blocks, box, mirror, real, ghosts, s)
+    load_patches(kind.blend, blocks, box, mirror, real, ghosts, s)
+
+
+@gather_batch.of(MixtureFlipGather)
+def _(kind, count, weights, records, base, real, extra):
+    gather_batch(kind.sharing, count, weights, records, base, real, extra)
+    gather_batch(kind.blend, count, weights, records, base, real, extra)
+
+
+@particle_velocity.of(MixtureFlipGather)
+def _(kind, f, p, cap, extra, n, v):
+    particle_velocity(kind.blend, f, p, cap, extra, n, v)
+
+
+@max_velocity.of(MixtureFlipGather)
+def _(kind, f, p, cap, displacement, scale):
+    return max_velocity(kind.blend, f, p, cap, displacement, scale)
+
+
+@advection_velocity.of(MixtureFlipGather)
+def _(kind, split, extra, n, v):
+    return advection_velocity(kind.sharing, split, extra, n, v)
+
+
+displacement.of(MixtureFlipGather)(displacement.table[MixtureGather])
+
+
+@velocity_gradient.of(MixtureFlipGather)
+def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
+    return velocity_gradient(kind.sharing, split, f, p, cap, extra, n, L, fill, slope, numbers)
+
+
+@mixture_wave_speed_squared.of(MixtureFlipGather)
+def _(kind, f, p, cap, numbers, wave2):
+    return mixture_wave_speed_squared(kind.sharing, f, p, cap, numbers, wave2)

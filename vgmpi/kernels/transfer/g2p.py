@@ -2,12 +2,22 @@
 
 Every particle gathers the velocity and its gradient; from them follow the state of its law, its new
 position and the bounds on the next step. See p2g.py.
+
+A law with plasticity keeps the elastic part of its deformation, a fluid its volume. Where a body's
+Gaussians are to follow the whole deformation, the total deformation gradient is stored besides the
+law's state, and nothing else reads it.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
+from vgmpi.kernels.kernel_arguments import (
+    J_MAX,
+    J_MIN,
+    MAX_CELLS_PER_STEP,
+    MAX_VOLUME_STRAIN_PER_STEP,
+)
 from vgmpi.kernels.particle_records import (
     AFFINE,
     BATCH,
@@ -15,14 +25,15 @@ from vgmpi.kernels.particle_records import (
     STATE,
     box_of,
     compute_weights,
+    load_patch,
+    load_tensor,
     node_range_with_walls,
     prefetch_channels,
+    prefetch_patch,
     split_scratch,
     zero_padding,
 )
-from vgmpi.kernels.patch import load_patch, prefetch_patch
 from vgmpi.kernels.reaction_impulses import momentum_mirror_fraction
-from vgmpi.kernels.simd.mask_ops import ALL_LANES, in_range_mask, masked
 from vgmpi.kernels.simd.material_dispatch import (
     advance,
     is_liquid,
@@ -38,11 +49,11 @@ from vgmpi.kernels.simd.row_ops import (
     load_records,
     max_ignore_nan,
 )
-from vgmpi.kernels.simd.vector16 import pointer, store
+from vgmpi.kernels.simd.vector16 import ALL_LANES, SIMD_WIDTH, in_range_mask, masked, pointer, store
 from vgmpi.kernels.stencil_sums import gather_affine, gather_gradient
-from vgmpi.kernels.step_limits import J_MAX, J_MIN, MAX_CELLS_PER_STEP, MAX_VOLUME_STRAIN_PER_STEP
 from vgmpi.kernels.wall_boundary import complete_wall_mass, fill_ghost_velocity
-from vgmpi.runtime.jit import device_function, kernel
+from vgmpi.materials.tensor_math.tensor import update_deformation_gradient
+from vgmpi.runtime.jit import borrowing_kernel, device_function, kernel
 
 from .auxiliary_gather import (
     advection_velocity,
@@ -54,7 +65,7 @@ from .auxiliary_gather import (
     particle_velocity,
     velocity_gradient,
 )
-from .spray_divergence import reduce_spray_divergence
+from .liquid_volume import reduce_spray_divergence
 
 MAX_STRAY_CELLS = (
     3  # [cells] distance from the block center within which a base node lies in its patch
@@ -340,3 +351,49 @@ def keep_lowest_id(report, number, reason):
     if report[2] == 0.0 or number + 1.0 < report[2]:
         report[2] = number + 1.0
         report[3] = reason
+
+
+@borrowing_kernel
+def update_total_deformation(segments, start, count, f, first, dt):
+    """Update F <- (I + dt C) F with C as just gathered, stored as F - I.
+
+    Unused particle slots have C = 0.
+
+    Args:
+        segments: Segments to process, shape (n,).
+        start: First particle of each segment.
+        count: Number of particles of each segment.
+        f: Particle channels (in/out), shape (channels, cap).
+        first: First of the nine channels of F - I.
+        dt: Time step [s].
+    """
+    cap = f.shape[1]
+    flat = f.reshape(f.size)
+    for s in segments:
+        for p in range(start[s], start[s] + count[s], SIMD_WIDTH):
+            update_deformation_lanes(flat, p, cap, first, dt)
+
+
+@device_function
+def update_deformation_lanes(f, p, cap, first, dt):
+    """Update F of 16 particles.
+
+    Args:
+        f: Particle channels, flat (in/out).
+        p: Index of the first particle.
+        cap: Stride of channels.
+        first: First of the nine channels of F - I.
+        dt: Time step [s].
+    """
+    q, h = p + AFFINE * cap, p + first * cap
+    c, old = load_tensor(f, q, cap), load_tensor(f, h, cap)
+    h0, h1, h2, h3, h4, h5, h6, h7, h8 = update_deformation_gradient(old, c, dt)
+    store(f, h, h0)
+    store(f, h + cap, h1)
+    store(f, h + 2 * cap, h2)
+    store(f, h + 3 * cap, h3)
+    store(f, h + 4 * cap, h4)
+    store(f, h + 5 * cap, h5)
+    store(f, h + 6 * cap, h6)
+    store(f, h + 7 * cap, h7)
+    store(f, h + 8 * cap, h8)

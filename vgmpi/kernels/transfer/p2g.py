@@ -15,14 +15,12 @@ particles with one base node is summed before it is added to the patch.
 """
 
 from vgmpi.kernels.nodal_fields import (  # noqa: F401  (contributions)
-    cell_pressure,
     color,
     momentum,
-    particle_pressure,
     rest_volume,
     stress_impulse,
     surface_distance,
-    surface_velocity_gradient,
+    velocity_gradient,
 )
 from vgmpi.kernels.nodal_fields.field_protocol import (
     MIRROR_NONE,
@@ -32,16 +30,18 @@ from vgmpi.kernels.nodal_fields.field_protocol import (
 from vgmpi.kernels.particle_records import (
     BATCH,
     box_of,
+    clear,
     compute_weights,
     node_range,
     node_range_with_walls,
     split_scratch,
 )
-from vgmpi.kernels.patch import clear
 from vgmpi.kernels.reproducible_sums import accumulate_patch
 from vgmpi.kernels.simd.vector16 import pointer
 from vgmpi.kernels.wall_boundary import fold_ghost_momentum
 from vgmpi.runtime.jit import kernel
+
+from . import liquid_volume, pressure_transfer  # noqa: F401  (contributions)
 
 
 @kernel

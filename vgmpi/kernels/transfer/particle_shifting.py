@@ -25,10 +25,10 @@ from vgmpi.kernels.grid.contact_impulses import half_space_fraction
 from vgmpi.kernels.grid.sided_phases import distance_of_side, is_sided, side_of
 from vgmpi.kernels.particle_records import AFFINE, STATE, load_tensor
 from vgmpi.kernels.simd.cooperative import strided_range, sync_threads
-from vgmpi.kernels.simd.node_row_ops import fourth_of
 from vgmpi.kernels.simd.row_ops import (
     add_fixed_point,
     broadcast,
+    fourth_of,
     horizontal_max,
     load_records,
 )
@@ -37,8 +37,8 @@ from vgmpi.kernels.wall_boundary import SEPARATE, SIDE
 from vgmpi.materials.tensor_math.select import select
 from vgmpi.runtime.jit import device_function
 
-from .density_correction import clamp_to_unit
 from .g2p import squared_norm
+from .liquid_volume import clamp_to_unit
 
 # [-] Below a plane surface 1 - fullness is (MARGIN + MARGIN_GROWTH (1 - fullness)) of the change of
 # the fullness per cell (tests/kernels/test_plane_surface.py). Only what is missing beyond that

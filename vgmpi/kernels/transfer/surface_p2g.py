@@ -14,16 +14,16 @@ from vgmpi.kernels.nodal_fields import body_fields, surface_distance  # noqa: F4
 from vgmpi.kernels.nodal_fields.field_protocol import accumulate, particle_contribution
 from vgmpi.kernels.particle_records import (
     BATCH,
+    clear,
     compute_base_rows,
     compute_weights,
     node_range,
     patch_of,
     split_scratch,
 )
-from vgmpi.kernels.patch import clear
 from vgmpi.kernels.reproducible_sums import accumulate_patch_at
 from vgmpi.kernels.simd.vector16 import SIMD_WIDTH, pointer
-from vgmpi.kernels.stencil_values import scatter_values
+from vgmpi.kernels.stencil_sums import scatter_values
 from vgmpi.runtime.jit import borrowing_kernel, device_function, kernel
 
 

@@ -6,6 +6,7 @@ last steps has taken.
 
 from vgmpi.kernels.grid.sided_phases import average_sides
 from vgmpi.kernels.grid.update import momentum_to_velocity
+from vgmpi.kernels.kernel_arguments import NODE_MASS_FLOOR
 from vgmpi.kernels.nodal_fields.color import mean_over_set
 from vgmpi.kernels.particle_records import (
     AFFINE,
@@ -13,18 +14,18 @@ from vgmpi.kernels.particle_records import (
     PATCH,
     box_of,
     compute_weights,
+    load_patch,
     node_range_with_walls,
     patch_of,
+    prefetch_patch,
     split_scratch,
     zero_padding,
 )
-from vgmpi.kernels.patch import load_patch, prefetch_patch
 from vgmpi.kernels.reaction_impulses import momentum_mirror_fraction
 from vgmpi.kernels.reproducible_sums import blocks_at, finalize_node_block, sums_at
 from vgmpi.kernels.simd.row_ops import tile
 from vgmpi.kernels.simd.vector16 import load, pointer, store
 from vgmpi.kernels.stencil_sums import gather_affine, gather_gradient
-from vgmpi.kernels.step_limits import NODE_MASS_FLOOR
 from vgmpi.kernels.wall_boundary import complete_wall_mass, fill_ghost_velocity
 from vgmpi.runtime.jit import borrowing_kernel, device_function, kernel
 

@@ -2,7 +2,7 @@
 
 The nodes have the velocities of all other forces. A first system finds the pressures of the cells,
 and a second one the displacements that spread what crowds; particles take both up when they gather
-(kernels/transfer/pressure_gather.py). The number of sweeps is fixed, so that all ranks agree.
+(kernels/transfer/pressure_transfer.py). The number of sweeps is fixed, so that all ranks agree.
 See docs/explanation/implicit-pressure.md.
 """
 

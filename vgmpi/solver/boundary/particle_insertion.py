@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vgmpi.kernels.step_limits import MAX_CELLS_PER_STEP, MAX_VOLUME_STRAIN_PER_STEP
+from vgmpi.kernels.kernel_arguments import MAX_CELLS_PER_STEP, MAX_VOLUME_STRAIN_PER_STEP
 from vgmpi.materials.material import law_function
 from vgmpi.parallel import migration
 from vgmpi.parallel.block_lattice import BlockLattice

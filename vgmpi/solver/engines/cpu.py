@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from vgmpi.kernels import particle_records, reproducible_sums
-from vgmpi.kernels.grid import contact_workspace, mixture_workspace, update
+from vgmpi.kernels.grid import contact_impulses, mixture_workspace, update
 from vgmpi.kernels.grid.sided_phases import sided_phases
 from vgmpi.kernels.kernel_arguments import NodeBlocks, Step, Sums
 from vgmpi.kernels.nodal_fields import color
@@ -19,7 +19,7 @@ from vgmpi.kernels.rigid.prescribed_motion import (
 )
 from vgmpi.kernels.rigid.prescribed_transfer import advect_prescribed
 from vgmpi.kernels.rigid.static_colliders import StaticColliders
-from vgmpi.kernels.transfer import deformation_gradient, g2p, p2g, transfer_correction
+from vgmpi.kernels.transfer import g2p, p2g, transfer_correction
 from vgmpi.kernels.transfer.particle_shifting import NodeFill, ShiftConstants
 from vgmpi.kernels.wall_boundary import KINDS, patch_codes
 from vgmpi.parallel.block_lattice import BITS, BlockLattice
@@ -89,7 +89,7 @@ class Cpu(KernelCaller):
         patch_count = max(sum(self.gathered.values()), int(plan.shift_interval > 0))
         patch_count = max(patch_count, surface_fields.patch_count(plan))
         self.scratch = [particle_records.scratch(plan.real, patch_count) for _ in range(threads)]
-        self.room = [contact_workspace.contact_workspace(len(plan.phases)) for _ in range(threads)]
+        self.room = [contact_impulses.contact_workspace(len(plan.phases)) for _ in range(threads)]
         self.mixture_workspace = [
             mixture_workspace.mixture_workspace(len(plan.phases), plan.real, aligned_zeros)
             for _ in range(threads if self.apart else 0)
@@ -337,7 +337,7 @@ class Cpu(KernelCaller):
             if plan.tracks_deformation:
                 row = plan.channels.first("F")
                 self.call_if_rows(
-                    (g,), deformation_gradient.update_total_deformation, rows, group.start,
+                    (g,), g2p.update_total_deformation, rows, group.start,
                     group.count, group.f, row, motion.dt,
                 )  # fmt: skip
 

@@ -7,10 +7,9 @@ import numpy as np
 from vgmpi.kernels.kernel_arguments import Particles, Segments
 from vgmpi.kernels.reaction_impulses import GhostNodes
 from vgmpi.kernels.transfer import auxiliary_gather, g2p
-from vgmpi.kernels.transfer.cell_dilatation import CellDilatation
-from vgmpi.kernels.transfer.density_correction import DensityCorrected
-from vgmpi.kernels.transfer.mixture_flip_gather import MixtureFlipGather
-from vgmpi.kernels.transfer.pressure_gather import ImplicitPressure
+from vgmpi.kernels.transfer.auxiliary_gather import MixtureFlipGather
+from vgmpi.kernels.transfer.liquid_volume import CellDilatation, DensityCorrected
+from vgmpi.kernels.transfer.pressure_transfer import ImplicitPressure
 from vgmpi.parallel.exchange_topology import ExchangeTopology
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.phases_and_groups import GroupPlan

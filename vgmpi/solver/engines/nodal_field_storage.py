@@ -7,17 +7,15 @@ import numpy as np
 from vgmpi.kernels import reproducible_sums
 from vgmpi.kernels.kernel_arguments import Sums
 from vgmpi.kernels.nodal_fields import (
-    cell_pressure,
+    body_fields,
     color,
-    mean_pressure,
     momentum,
-    particle_pressure,
     rest_volume,
     stress_impulse,
     surface_distance,
-    surface_velocity_gradient,
     velocity_gradient,
 )
+from vgmpi.kernels.transfer import liquid_volume, pressure_transfer
 from vgmpi.parallel.exchange_topology import (
     GRADIENTS,
     NEAR_BODIES,
@@ -123,12 +121,12 @@ def nodal_fields(plan: Plan, separate_stress: bool, field_class=NodalField) -> l
             field_class("shear", lambda speed: momentum.accumulator_range(plan, speed), plan)
         )
     for name in fields_near_colliders(plan):
-        make = mean_pressure if name == "mean pressure" else momentum
+        make = body_fields if name == "mean pressure" else momentum
         fields.append(
             field_class(name, lambda speed, of=make: of.accumulator_range(plan, speed), plan)
         )
     if plan.implicit_pressure:
-        ranges = particle_pressure.accumulator_range
+        ranges = pressure_transfer.accumulator_range
         fields.append(field_class(PARTICLE_PRESSURE, lambda _: ranges(plan), plan))
     if any(phase.fills_by_volume for phase in plan.phases):
         fields.append(field_class(REST_VOLUME, lambda _: rest_volume.accumulator_range(plan), plan))
@@ -160,21 +158,25 @@ def contributions(
         FieldContribution("offsets", surface_distance.kind(plan, group), contributes["offsets"]),
     ]
     if group.cell_dilatation:
-        result.append(FieldContribution("momentum", cell_pressure.kind(plan), ~split))
+        result.append(FieldContribution("momentum", liquid_volume.cell_pressure_kind(plan), ~split))
     if group.implicit_pressure:
         chosen = contributes[PARTICLE_PRESSURE]
-        result.append(FieldContribution(PARTICLE_PRESSURE, particle_pressure.kind(plan), chosen))
+        result.append(FieldContribution(PARTICLE_PRESSURE, pressure_transfer.kind(plan), chosen))
     if group.apart:
         result.append(FieldContribution("momentum", inert, split))
         result.append(FieldContribution("impulses", stress_impulse.kind(plan, group), split))
     if plan.has_surface_friction and group.surface:
         result.append(
             FieldContribution(
-                "shear", surface_velocity_gradient.kind(plan, group), contributes["shear"]
+                "shear", velocity_gradient.surface_kind(plan, group), contributes["shear"]
             )
         )
     for axis, name in enumerate(near_colliders_of_group(plan, group)):
-        kind = velocity_gradient.kind(plan, group, axis) if axis < 3 else mean_pressure.kind(plan)
+        kind = (
+            velocity_gradient.kind(plan, group, axis)
+            if axis < 3
+            else body_fields.mean_pressure_kind(plan)
+        )
         result.append(FieldContribution(name, kind, contributes[name]))
     for k in range(group.coefficients):
         result.append(

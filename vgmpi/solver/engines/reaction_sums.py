@@ -6,7 +6,7 @@ Keeps the sums of each thread, the nodes that this rank counts, and the masses b
 import numpy as np
 
 from vgmpi.kernels import reaction_impulses
-from vgmpi.kernels.grid.contact_workspace import ContactWorkspace
+from vgmpi.kernels.grid.contact_impulses import ContactWorkspace
 from vgmpi.parallel.exchange_topology import ExchangeTopology, counting_owner
 from vgmpi.planning.plan import Plan
 

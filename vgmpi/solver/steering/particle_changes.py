@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vgmpi.kernels.step_limits import MAX_CELLS_PER_STEP
+from vgmpi.kernels.kernel_arguments import MAX_CELLS_PER_STEP
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.solver.boundary.particle_insertion import bounds_of_particles
 

@@ -7,9 +7,13 @@ import numpy as np
 
 from vgmpi.kernels import reproducible_sums
 from vgmpi.kernels.grid import update as grid
-from vgmpi.kernels.kernel_arguments import Segments, Step
+from vgmpi.kernels.kernel_arguments import (
+    MAX_CELLS_PER_STEP,
+    MAX_VOLUME_STRAIN_PER_STEP,
+    Segments,
+    Step,
+)
 from vgmpi.kernels.rigid.prescribed_motion import ROTATED_CHANNELS
-from vgmpi.kernels.step_limits import MAX_CELLS_PER_STEP, MAX_VOLUME_STRAIN_PER_STEP
 from vgmpi.kernels.transfer import g2p
 from vgmpi.kernels.transfer.particle_shifting import NodeFill, ShiftConstants
 from vgmpi.parallel.block_lattice import BITS

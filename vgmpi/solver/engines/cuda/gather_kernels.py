@@ -13,8 +13,7 @@ from vgmpi.kernels.simd.material_dispatch import is_liquid
 from vgmpi.kernels.stencil_sums import gather_affine, gather_gradient, gather_value
 from vgmpi.kernels.transfer import transfer_correction
 from vgmpi.kernels.transfer.auxiliary_gather import gather_batch, load_patches
-from vgmpi.kernels.transfer.deformation_gradient import update_deformation_lanes
-from vgmpi.kernels.transfer.g2p import ParticlePointers, _update_particles
+from vgmpi.kernels.transfer.g2p import ParticlePointers, _update_particles, update_deformation_lanes
 from vgmpi.kernels.transfer.particle_shifting import TOLERATED_FILL, relax_volume, shift_positions
 from vgmpi.kernels.wall_boundary import complete_wall_mass, fill_ghost_velocity
 
@@ -175,7 +174,7 @@ def take(rows, channel, segments, particles, nodes):
 
 
 def follow(rows, segments, particles, first, dt):
-    """Update deformation gradients that laws do not have: kernels/transfer/deformation_gradient.py.
+    """Update deformation gradients that laws do not have: kernels/transfer/g2p.py.
 
     Args:
         rows: Segments to process.

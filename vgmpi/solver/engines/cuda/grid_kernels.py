@@ -9,13 +9,13 @@ import numpy as np
 from numba import cuda
 
 from vgmpi.kernels.grid import update as grid
-from vgmpi.kernels.grid.contact_workspace import ContactWorkspace
+from vgmpi.kernels.grid.contact_impulses import ContactWorkspace
 from vgmpi.kernels.grid.mixture_workspace import MixtureWorkspace as Members
 from vgmpi.kernels.grid.update import SeparatedStress
 from vgmpi.kernels.nodal_fields import color
 from vgmpi.kernels.reaction_impulses import GhostNodes, ReactionSums
 from vgmpi.kernels.reproducible_sums import finalize_node_block
-from vgmpi.kernels.simd import node_row_ops, reproducible_add, row_ops, vector16
+from vgmpi.kernels.simd import reproducible_add, row_ops, vector16
 from vgmpi.kernels.transfer import transfer_correction
 
 from .particle_intrinsics import TEAMWORK, VIEWS, broadcast, place
@@ -140,9 +140,9 @@ NODES = TranslationMode(
         vector16.load: load, vector16.store: store, vector16.pointer: place,
         row_ops.broadcast: broadcast,
         row_ops.tile: repeat, row_ops.horizontal_max: horizontal_max,
-        node_row_ops.fourth_of: fourth_of,
-        node_row_ops.with_fourth: with_fourth, node_row_ops.squared: squared,
-        node_row_ops.velocity: velocity,
+        row_ops.fourth_of: fourth_of,
+        row_ops.with_fourth: with_fourth, row_ops.squared: squared,
+        row_ops.velocity: velocity,
         finalize_node_block: settled, reproducible_add.words_of: words_of,
     },
     {},

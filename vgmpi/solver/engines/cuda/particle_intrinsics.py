@@ -10,13 +10,12 @@ from numba import cuda
 from vgmpi.kernels import (
     cell_stencil_sums,
     particle_records,
-    patch,
     stencil_sums,
 )
 from vgmpi.kernels.nodal_fields import surface_distance
 from vgmpi.kernels.rigid import prescribed_transfer
 from vgmpi.kernels.simd import cooperative as lanes_team
-from vgmpi.kernels.simd import mask_ops, partial_rows, row_ops, vector16
+from vgmpi.kernels.simd import partial_rows, row_ops, vector16
 from vgmpi.kernels.transfer import auxiliary_gather, g2p
 
 from . import thread_block
@@ -274,8 +273,8 @@ PARTICLE = TranslationMode(
     PLAIN | TEAMWORK | {
         vector16.load: load, vector16.store: store, vector16.pointer: place,
         row_ops.broadcast: broadcast,
-        mask_ops.first_n: first_n, row_ops.horizontal_max: horizontal_max,
-        mask_ops.in_range_mask: in_range_mask, mask_ops.masked: masked,
+        vector16.first_n: first_n, row_ops.horizontal_max: horizontal_max,
+        vector16.in_range_mask: in_range_mask, vector16.masked: masked,
         row_ops.store_records: store_records, row_ops.load_records: load_records,
         row_ops.store_int32: store_int32, surface_distance._offsets: offsets_record,
         partial_rows.load: part_load, partial_rows.store: store, partial_rows.tile: repeat,
@@ -285,7 +284,7 @@ PARTICLE = TranslationMode(
         partial_rows.mean_middle: mean, partial_rows.mean_change: mean_slope,
         stencil_sums.gather_affine: _gathers("gather_affine", 4),
         stencil_sums.gather_gradient: _gathers("gather_gradient", 4),
-        stencil_sums.gather_value: _gathers("gather_value", 1), patch.load_patch: gather,
+        stencil_sums.gather_value: _gathers("gather_value", 1), particle_records.load_patch: gather,
         cell_stencil_sums.gather_cell_slopes: _gathers("gather_cell_slopes", 3),
         particle_records.patch_of: patch_of, particle_records.velocity_patch_of: velocity_patch_of,
         g2p.keep_lowest_id: note, g2p.record_step_bounds: record_maxima,

@@ -13,12 +13,12 @@ from numba import cuda
 
 from vgmpi.kernels import particle_records, stencil_sums
 from vgmpi.kernels.cell_stencil_sums import scatter_by_cells
-from vgmpi.kernels.nodal_fields.cell_pressure import CellPressure
 from vgmpi.kernels.nodal_fields.field_protocol import (
     MIRROR_NONE,
     particle_contribution,
 )
 from vgmpi.kernels.particle_records import PATCH, compute_weights
+from vgmpi.kernels.transfer.liquid_volume import CellPressure
 from vgmpi.kernels.wall_boundary import fold_ghost_momentum
 
 from .grid_kernels import own_ghosts

@@ -18,7 +18,7 @@ from vgmpi.kernels.rigid import prescribed_transfer
 from vgmpi.kernels.simd import material_dispatch
 from vgmpi.materials import material
 from vgmpi.materials.material import law_owner, state_channels
-from vgmpi.materials.tensor_math import portable_cbrt, tensor
+from vgmpi.materials.tensor_math import tensor
 
 from .translation_types import (
     NONE_ARGUMENT,
@@ -41,7 +41,6 @@ DOUBLE = frozenset(
         reaction_impulses,
         prescribed_transfer,
         driven_bodies,
-        portable_cbrt,
     )
 )
 # Folders whose plain numbers are real, integers too: laws and their tensor algebra.

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vgmpi.kernels.step_limits import (
+from vgmpi.kernels.kernel_arguments import (
     J_MAX,
     J_MIN,
     MAX_CELLS_PER_STEP,

@@ -26,10 +26,10 @@ from vgmpi.kernels.grid.contact_impulses import (
     WALL_ALIGNMENT_MIN,
     WALL_OVERLAP_ROUND,
 )
+from vgmpi.kernels.kernel_arguments import CONTACT_MASS_FLOOR
 from vgmpi.kernels.reaction_impulses import WALLS
 from vgmpi.kernels.rigid.prescribed_motion import NO_PRESCRIBED_BODIES
 from vgmpi.kernels.rigid.static_colliders import SDF_BAND_CELLS
-from vgmpi.kernels.step_limits import CONTACT_MASS_FLOOR
 from vgmpi.materials.couplings.interaction import CONTACT
 from vgmpi.planning.plan import Plan
 

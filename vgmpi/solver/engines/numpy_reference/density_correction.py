@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vgmpi.kernels.transfer.density_correction import (
+from vgmpi.kernels.transfer.liquid_volume import (
     CORRECTION_RATE,
     FULL_FILL,
     MIN_FILL,

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from vgmpi.kernels.grid.mixture_coupling import MIN_POROSITY
+from vgmpi.kernels.kernel_arguments import NODE_MASS_FLOOR
 from vgmpi.kernels.rigid.moving_colliders import MovingColliders
 from vgmpi.kernels.rigid.prescribed_motion import PrescribedBodies
 from vgmpi.kernels.rigid.static_colliders import StaticColliders
-from vgmpi.kernels.step_limits import NODE_MASS_FLOOR
 from vgmpi.kernels.transfer.auxiliary_gather import OVERFILL_RELAXATION_RATE
 from vgmpi.kernels.transfer.particle_shifting import ShiftConstants
 from vgmpi.materials.material import law_function

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vgmpi.kernels.transfer.spray_divergence import (
+from vgmpi.kernels.transfer.liquid_volume import (
     FULL_RESPONSE_FILL,
     LEAST_RESPONSE,
     LEAST_RESPONSE_FILL,

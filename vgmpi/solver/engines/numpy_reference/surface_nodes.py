@@ -7,7 +7,7 @@ node blocks and back; the nodal fields of these kernels are sums over dense arra
 
 import numpy as np
 
-from vgmpi.kernels.grid.contact_workspace import contact_workspace
+from vgmpi.kernels.grid.contact_impulses import contact_workspace
 from vgmpi.kernels.kernel_arguments import NodeBlocks, Sums
 from vgmpi.kernels.wall_boundary import KINDS
 from vgmpi.parallel.exchange_topology import GRADIENTS, ExchangeTopology

@@ -1,0 +1,125 @@
+"""Transfer of liquids with an implicit pressure: pressure to the nodes, and displacement back.
+
+The nodes receive rest volume times pressure of the particles [m3], relative to the Tait
+coefficient: the first guess of an implicit pressure (kernels/grid/pressure_system.py). Particles
+gather the displacement and the pressure of the nodes. Their volume ratio is not integrated. It is
+the one at which the law has the pressure of the grid, which is the first guess of the next step,
+and what files and checkpoints contain. The gathering is a kind of auxiliary_gather.py; see
+docs/explanation/implicit-pressure.md.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vgmpi.kernels.nodal_fields.field_protocol import (
+    MIRROR_VECTOR,
+    accumulate,
+    particle_contribution,
+)
+from vgmpi.kernels.nodal_fields.momentum import by_weights
+from vgmpi.kernels.particle_records import BATCH, STATE, VOLUME, patch_of, scatter_columns
+from vgmpi.kernels.reproducible_sums import next_power_of_two
+from vgmpi.kernels.simd.row_ops import broadcast, store_records
+from vgmpi.kernels.simd.vector16 import load, store
+from vgmpi.kernels.stencil_sums import gather_value
+from vgmpi.runtime.jit import always_inline
+
+from .auxiliary_gather import (
+    VelocityOnly,
+    advection_velocity,
+    displacement,
+    gather_batch,
+    load_mirrored_patch,
+    load_patches,
+    max_velocity,
+    mixture_wave_speed_squared,
+    particle_velocity,
+    velocity_gradient,
+)
+
+MAX_RELATIVE_PRESSURE = 16.0  # [-] above kernels/grid/pressure_system.MAX_PRESSURE
+
+
+class ParticlePressure(NamedTuple):
+    """Contribution of pressure."""
+
+    mirror: float  # code of nodal_fields/field_protocol.py
+
+
+def kind(plan) -> ParticlePressure:
+    """Return the contribution of particles to the field, mirrored at walls as their mass is."""
+    return ParticlePressure(plan.real.type(MIRROR_VECTOR))
+
+
+def accumulator_range(plan) -> np.ndarray:
+    """Return the scales of the sums, powers of two, shape (phases, 4)."""
+    return np.full((len(plan.phases), 4), next_power_of_two(MAX_RELATIVE_PRESSURE * plan.dx**3))
+
+
+@always_inline
+def relative_pressure(law, f, p, cap):
+    """Return the pressure of 16 particles relative to the Tait coefficient of their law."""
+    theta = load(f, p + STATE * cap)
+    return np.minimum(np.expm1(-law.gamma * theta), 0.0 * theta + MAX_RELATIVE_PRESSURE)
+
+
+@particle_contribution.of(ParticlePressure)
+def _particle_pressure(kind, law, count, offset, cap, f, extra, peak, records, dt):
+    o = broadcast(f, 0.0)
+    for n in range(0, count, 16):
+        p = offset + n
+        amount = load(f, p + VOLUME * cap) * relative_pressure(law, f, p, cap)
+        store_records(records, 16 * n, (o, o, o, amount, o, o, o, o, o, o, o, o, o, o, o, o))
+
+
+accumulate.of(ParticlePressure)(by_weights)
+
+
+class ImplicitPressure(NamedTuple):
+    """Kind of liquids with an implicit pressure."""
+
+    moves: np.ndarray  # (node blocks, 256) [cells] displacement, and relative pressure
+    exponent: float  # [-] exponent of the Tait equation
+
+
+for _dispatch in (particle_velocity, max_velocity, advection_velocity):
+    _dispatch.of(ImplicitPressure)(_dispatch.table[VelocityOnly])
+
+
+@load_patches.of(ImplicitPressure)
+def _(kind, blocks, box, mirror, real, ghosts, s):
+    load_mirrored_patch(kind.moves, blocks, box, mirror, patch_of(real, 0), None, s)
+
+
+@gather_batch.of(ImplicitPressure)
+def _(kind, count, weights, records, base, real, extra):
+    """Gather the displacement [cells] and the relative pressure."""
+    gather_value(count, records, weights, base, patch_of(real, 0))
+    scatter_columns(count, records, extra, 0, BATCH)
+    for n in range(count):
+        extra[3 * BATCH + n] = records[16 * n + 3]
+
+
+@displacement.of(ImplicitPressure)
+def _(kind, extra, n, moves):
+    x, y, z = moves
+    return (
+        x + load(extra, n),
+        y + load(extra, BATCH + n),
+        z + load(extra, 2 * BATCH + n),
+    )
+
+
+@velocity_gradient.of(ImplicitPressure)
+def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
+    """Set the volume ratio by the pressure, and return the gradient without its trace."""
+    c0, c1, c2, c3, c4, c5, c6, c7, c8 = L
+    store(f, p + STATE * cap, np.log1p(load(extra, 3 * BATCH + n)) * (-1.0 / kind.exponent))
+    third = (c0 + c4 + c8) * (1.0 / 3.0)
+    return (c0 - third, c1, c2, c3, c4 - third, c5, c6, c7, c8 - third)
+
+
+@mixture_wave_speed_squared.of(ImplicitPressure)
+def _(kind, f, p, cap, numbers, wave2):
+    return 0.0 * wave2
