@@ -22,6 +22,7 @@ OUTSIDE = {  # packages that only some files may use
     "numba": (
         "vgmpi/runtime/",
         "vgmpi/gaussians/",
+        "vgmpi/features/",
         "vgmpi/materials/tensor_math/",
         "vgmpi/kernels/",
         "vgmpi/rendering/",
@@ -80,6 +81,7 @@ OUTSIDE = {  # packages that only some files may use
     "gsplat": ("vgmpi/rendering/raster/gsplat_backend.py",),
 }
 COMPILED = (
+    "vgmpi/features/",
     "vgmpi/materials/tensor_math/",
     "vgmpi/kernels/",
     "vgmpi/runtime/",
@@ -193,6 +195,12 @@ def test_imports_keep_the_contracts():
         ("vgmpi/solver/run.py", "import vgmpi.apps.photo.pipeline", "rooms import"),
         ("vgmpi/solver/engines/cpu.py", "import vgmpi.solver.simulation", "engines do not"),
         ("vgmpi/rendering/frame_renderer.py", "import vgmpi.scene.loader", "the renderer reads"),
+        ("vgmpi/features/reactions/coupling.py", "import vgmpi.solver.engines.cpu", "rooms import"),
+        (
+            "vgmpi/features/releases/coupling.py",
+            "import vgmpi.features.thin_walls.coupling",
+            "features do not",
+        ),
         ("vgmpi/solver/simulation.py", "import mpi4py", "only parallel and io"),
         ("vgmpi/apps/fit/workflow.py", "import postprocess.render", "nothing in vgmpi"),
     ],
@@ -205,14 +213,14 @@ def test_a_contract_sees_a_planted_import(file, line, contract, tmp_path):
     (tmp_path / file).write_text((tmp_path / file).read_text() + f"\n{line}\n")
     code, text = linted(tmp_path)
     assert code != 0
-    assert any(row.startswith(contract) and row.endswith("BROKEN") for row in text.splitlines())
+    assert any(row.startswith(contract) and " BROKEN" in row for row in text.splitlines())
 
 
-def test_the_house_has_twelve_rooms_and_six_files_at_its_door():
+def test_the_house_has_thirteen_rooms_and_six_files_at_its_door():
     rooms = {path.name for path in (ROOT / "vgmpi").iterdir() if (path / "__init__.py").exists()}
     files = {path.name for path in (ROOT / "vgmpi").iterdir() if path.is_file()}
     assert rooms == {name.split(".")[1] for name in ROOMS} - {"api"}
-    assert len(rooms) <= 12 and len(files) <= 6
+    assert len(rooms) <= 13 and len(files) <= 6
 
 
 def test_imports_are_found():

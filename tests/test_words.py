@@ -65,10 +65,11 @@ def places():
 
 
 def test_modules_are_not_private_words_and_have_names_of_their_own():
-    stems = [Path(file).stem for file in FILES if "__" not in file]
+    # files of features have the same names, which say their parts: table, plan, coupling, kernels
+    files = [file for file in FILES if "__" not in file and "vgmpi/features/" not in file]
+    stems = [Path(file).stem for file in files]
     assert not PRIVATE & set(stems)
-    twins = [file for file in FILES if "engines" not in file and "kernels" not in file]
-    outside = [Path(file).stem for file in twins if "__" not in file]
+    outside = [Path(file).stem for file in files if "engines" not in file and "kernels" not in file]
     assert [stem for stem in set(outside) if stems.count(stem) > 1] == []
 
 

@@ -45,6 +45,25 @@ def _run_scenes(args: argparse.Namespace) -> int:
     return 0
 
 
+def _bits(parser: argparse.ArgumentParser) -> None:
+    say = parser.add_argument
+    say("tree", type=Path, help="another checkout")
+    say("scenes", nargs="+", help="scene files, or folders below runs/")
+    say("--steps", type=int, default=40, help="default 40")
+    say("--ranks", type=int, default=1, metavar="N", help="default 1")
+    say("--set", action="append", default=[], metavar="KEY=VALUE", help="as for a run")
+
+
+def _run_bits(args: argparse.Namespace) -> int:
+    from tests.benchmarks import same_bits
+
+    for line in same_bits.compare_bits(
+        args.tree, args.scenes, args.steps, args.ranks, args.set, print_progress
+    ):
+        print(line, flush=True)
+    return 0
+
+
 def _pictures(parser: argparse.ArgumentParser) -> None:
     say = parser.add_argument
     say("tree", type=Path, help="another checkout")
@@ -139,5 +158,6 @@ COMPARISON_COMMANDS = {
     "first-use": ("install, first run and first picture, by the clock", _first_use, _run_first_use),
     "frames": ("what writing a frame costs", _frames, _run_frames),
     "pictures": ("pictures of a run beside another checkout", _pictures, _run_pictures),
+    "bits": ("results of scenes beside another checkout, to the bit", _bits, _run_bits),
     "scenes": ("scenes of runs/ beside another checkout", _scenes, _run_scenes),
 }

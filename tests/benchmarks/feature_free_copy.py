@@ -72,12 +72,14 @@ ANSWERS: dict[str, dict[str, str]] = {
     "vgmpi.kernels.transfer.pressure_transfer": {},
     "vgmpi.kernels.grid.pressure_system": {},
     "vgmpi.parallel.cell_exchange": {},
-    "vgmpi.solver.boundary.implicit_pressure": {"make_implicit_pressure": "return None"},
+    "vgmpi.features.implicit_pressure.coupling": {"start": "return None"},
     "vgmpi.kernels.rigid.prescribed_transfer": {"set_prescribed_velocity": "return"},
     "vgmpi.kernels.rigid.moving_colliders": {},
     "vgmpi.kernels.rigid.sdf_sampling": {},
     "vgmpi.kernels.rigid.prescribed_motion": {"_none": KEPT},
-    "vgmpi.solver.boundary.release": {},
+    "vgmpi.features.releases.coupling": {"start": "return None"},
+    "vgmpi.features.prescribed_motion.coupling": {"start": "return None"},
+    "vgmpi.features.moving_colliders.coupling": {"start": "return None"},
     "vgmpi.preprocess.motion_checks": {
         "validate_collider_motion": "return []",
         "validate_body_motion": "return []",
@@ -100,34 +102,21 @@ ANSWERS: dict[str, dict[str, str]] = {
         "_shear": KEPT,
     },
     "vgmpi.kernels.nodal_fields.body_fields": {},
-    "vgmpi.solver.boundary.free_body_coupling": {
-        "free_body_coupling": "return None",
-    },
+    "vgmpi.features.rigid_bodies.coupling": {"start": "return None"},
     "vgmpi.kernels.rigid.surface_slip": {},
     "vgmpi.kernels.rigid.solid_slip": {},
-    "vgmpi.scene.pinned_parts": {
-        "validate_pinned": "return []",
-        "validate_pinned_parts": "return []",
+    "vgmpi.scene.scene_feature": {
+        "features": "return ()",
+        "object_table": KEPT,
+        "check_object": KEPT,
+        "prepare_features": KEPT,
     },
-    "vgmpi.preprocess.pinned_regions": {
-        "resolve_pinned_parts": "return []",
-        "with_pinned_masses": "return colliders",
-    },
-    "vgmpi.planning.pinned_groups": {
-        "pinned_plans": "return (), groups",
-        "set_pinned_groups": "return",
-    },
-    "vgmpi.kernels.rigid.pinned_nodes": {},
-    "vgmpi.solver.boundary.pinned_coupling": {"make_pinned_parts": "return None"},
     "vgmpi.kernels.rigid.shell_sampling": {},
     "vgmpi.planning.back_sides": {"with_back_sides": "return groups, phases, None"},
-    "vgmpi.solver.boundary.wall_sides": {"wall_sides": "return None"},
-    "vgmpi.solver.boundary.surface_coupling": {
-        "make_surface_slip": "return None",
-        "make_solid_slip": "return None",
-        "set_tables": "return",
-        "apply": "return",
-        "make_couplings": "return NodalCouplings(*[None] * 5)",
+    "vgmpi.features.thin_walls.coupling": {"start": "return None"},
+    "vgmpi.features.surface_slip.coupling": {
+        "start_collider_slip": "return None",
+        "start_solid_slip": "return None",
     },
 }
 PLAIN = """

@@ -7,6 +7,7 @@ import pytest
 from tests.support.simulate import begin
 from vgmpi.kernels.rigid import body_contact
 from vgmpi.kernels.rigid.contact_search import find_pairs, search_without_bounds
+from vgmpi.kernels.step_records import StepSpan
 
 SCENE = """
 [domain]
@@ -53,17 +54,17 @@ COUNT = 15
 
 @pytest.fixture(scope="module")
 def coupling(tmp_path_factory):
-    """The coupling of bodies of all shapes with each other and two colliders."""
+    """The coupling of bodies of all shapes with each other and two colliders, and the walls."""
     text = SCENE
     for k in range(COUNT):
         text += f'[[object]]\nname = "b{k}"\nmaterial = "wood"\nrigid = true\n'
         text += f"shape = {{ {SHAPES[k % len(SHAPES)]} }}\n"
     simulation, _ = begin(tmp_path_factory.mktemp("bodies"), text)
-    simulation.movers.begin_step(0.0, 1e-3, 1e-3)
-    return simulation.bodies
+    simulation.collider_nodes.begin_step(StepSpan(1, 0.0, 1e-3, 1e-3))
+    return simulation.features["rigid_bodies"], simulation.engine.walls
 
 
-def contacts(coupling, search, reach, dx=0.01):
+def contacts(coupling, walls, search, reach, dx=0.01):
     """(rows of the table of contacts by column, number of pairs)."""
     bodies, movers = coupling.bodies, coupling.movers.table
     table = body_contact.BodyTable(
@@ -73,9 +74,7 @@ def contacts(coupling, search, reach, dx=0.01):
     pairs = find_pairs(search, table, movers, coupling.number_of, reach, dx)
     out, size = body_contact.contact_points(4000), np.full(3, 0.4)
     common = reach, dx, out
-    n = body_contact.find_wall_contacts(
-        coupling.surface, search, table, size, coupling.engine.walls, *common, 0
-    )
+    n = body_contact.find_wall_contacts(coupling.surface, search, table, size, walls, *common, 0)
     n = body_contact.find_body_contacts(
         coupling.surface, search, pairs, table, movers, 1e-3, coupling.number_of, *common, n
     )
@@ -86,6 +85,7 @@ def contacts(coupling, search, reach, dx=0.01):
 @pytest.mark.parametrize("reach", [1e-3, 3e-3, 1.2e-2])
 def test_contacts_are_the_same_without_bounds(coupling, reach):
     """Both within and beyond the reach for which tight boxes hold."""
+    coupling, walls = coupling
     random, bodies = np.random.default_rng(5), coupling.bodies
     everything, total, left_out = search_without_bounds(coupling.search), 0, 0
     for case in range(40):
@@ -96,8 +96,8 @@ def test_contacts_are_the_same_without_bounds(coupling, reach):
             bodies.x[:] = np.round(bodies.x, 2)
         bodies.q /= np.sqrt((bodies.q**2).sum(1))[:, None]
         bodies.place(coupling.movers.table)
-        bounded, pairs = contacts(coupling, coupling.search, reach)
-        unbounded, all_pairs = contacts(coupling, everything, reach)
+        bounded, pairs = contacts(coupling, walls, coupling.search, reach)
+        unbounded, all_pairs = contacts(coupling, walls, everything, reach)
         assert all_pairs == COUNT * (COUNT + 1)  # with each other and both colliders
         assert {k: v.tobytes() for k, v in bounded.items()} == {
             k: v.tobytes() for k, v in unbounded.items()

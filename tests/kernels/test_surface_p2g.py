@@ -40,7 +40,7 @@ def state(folder, text, steps):
             )
             count[0] += np.maximum(end - first, 0)[used].sum()
             count[1] += group.count[part.surface.chosen].sum()
-    bodies = simulation.bodies.bodies
+    bodies = simulation.features["rigid_bodies"].bodies
     return bits + b"".join(v.tobytes() for v in (bodies.x, bodies.q, bodies.momentum)), *count
 
 

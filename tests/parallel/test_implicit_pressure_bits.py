@@ -11,8 +11,8 @@ from tests.support.file_digests import (
     run_on_one_rank,
 )
 from tests.support.simulate import advance, begin, by_id
+from vgmpi.features.implicit_pressure import coupling as implicit_pressure
 from vgmpi.kernels.grid import pressure_system
-from vgmpi.solver.boundary import implicit_pressure
 
 pytestmark = pytest.mark.mpi
 

@@ -170,7 +170,7 @@ def test_small_plate(tmp_path):
 def test_a_rigid_plate(tmp_path, edge, side, slab):
     """A rigid plate lies nearer to its draught than an elastic one: 0.1 cells were the goal."""
     simulation, _ = begin_afloat(tmp_path, edge, side, slab, 2, edge / 2, rigid=True)
-    bodies, rows = simulation.bodies.bodies, []
+    bodies, rows = simulation.features["rigid_bodies"].bodies, []
     for time in 2.4 * (0.75 + np.arange(6) / 20):
         advance(simulation, time)
         (x,) = by_id(simulation, "x")

@@ -138,7 +138,10 @@ def _thrown(tmp_path, motion):
     motion = f'motion = {{ {motion}, end_time = "0.1 s" }}\n'
     simulation, _ = begin(tmp_path, text.replace("SPEED", "0") + motion + SMOOTH + PROBE)
     advance(simulation, 0.0999)
-    impulse, work = simulation.reactions.totals[0, :3], simulation.reactions.totals[0, 6]
+    impulse, work = (
+        simulation.features["reactions"].totals[0, :3],
+        simulation.features["reactions"].totals[0, 6],
+    )
     return *_of_ball(simulation), impulse, work
 
 

@@ -87,7 +87,7 @@ def on_floor(folder, shapes, slope=0.0, mu=0.5, bounce=0.0, dt=1e-3, long=0.2):
         long=long, along=G * np.sin(slope), down=-G * np.cos(slope), mu=mu, dt=dt, bodies=bodies
     )
     simulation, _ = begin(folder, text)
-    return simulation, simulation.bodies.bodies
+    return simulation, simulation.features["rigid_bodies"].bodies
 
 
 def ball(x, z, radius=0.06):
@@ -203,7 +203,7 @@ def test_momentum_and_angular_momentum_of_a_collision(tmp_path, kind, more):
         kind = "honey that sticks"
         text = text.replace("rigid = true", "rigid = true\nslip_length = 0")
     simulation, _ = begin(tmp_path, text)
-    bodies = simulation.bodies.bodies
+    bodies = simulation.features["rigid_bodies"].bodies
     start, before = totals(simulation), bodies.momentum.copy()
     while simulation.time < 0.07:
         simulation.advance(simulation.bound())
@@ -218,7 +218,7 @@ def test_momentum_and_angular_momentum_of_a_collision(tmp_path, kind, more):
 
 def totals(simulation):
     """Momentum and angular momentum, (3,) each, of particles and rigid bodies."""
-    bodies, density = simulation.bodies.bodies, simulation.plan.groups[0].density
+    bodies, density = simulation.features["rigid_bodies"].bodies, simulation.plan.groups[0].density
     x, v, C, volume = by_id(simulation, "x", "v", "C", "vol0")
     m, C = density * volume[:, None], C.reshape(-1, 3, 3)
     own = np.stack([C[:, 2, 1] - C[:, 1, 2], C[:, 0, 2] - C[:, 2, 0], C[:, 1, 0] - C[:, 0, 1]], 1)
@@ -287,7 +287,7 @@ def in_water(folder, ratio, g=0.0, speed=0.0):
     )  # fmt: skip
     rigid = f'material = "rubber"\nrigid = true\nvelocity = [{speed}, 0, 0]\n'
     simulation, _ = begin(folder, text.replace('material = "rubber"\n', rigid, 1))
-    return simulation, simulation.bodies.bodies
+    return simulation, simulation.features["rigid_bodies"].bodies
 
 
 @pytest.mark.slow

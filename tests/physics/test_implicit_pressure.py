@@ -13,7 +13,7 @@ from tests.support.simulate import advance, begin, totals
 from vgmpi.apps.bench.board.board_cases import CASES
 from vgmpi.apps.bench.board.board_run import timed_run
 from vgmpi.apps.bench.board.vgmpi_board_solver import Solver
-from vgmpi.solver.boundary import implicit_pressure
+from vgmpi.features.implicit_pressure import coupling as implicit_pressure
 
 IMPLICIT = 'pressure = "implicit"'
 DROPS = """
@@ -77,16 +77,16 @@ def test_sweeps_converge_to_the_projection(tmp_path, monkeypatch):
     monkeypatch.setattr(implicit_pressure, "PRESSURE_SWEEPS", many)
     simulation, _ = begin(tmp_path, DROPS)
     advance(simulation, 0.05)
-    stage, grids = simulation.couplings.pressure, []
-    apply = type(stage).apply
+    stage, grids = simulation.features["implicit_pressure"], []
+    couple_nodes = type(stage).couple_nodes
 
-    def recorded(self, dt):
-        nodes = self.engine.layers["momentum"].nodes[: self.blocks].reshape(-1, 64, 4)
-        grids.append(nodal_grid(simulation, nodes, 4))
-        apply(self, dt)
-        grids.append(nodal_grid(simulation, nodes, 4))
+    def recorded(self, nodes, span, gravity):
+        velocities = nodes.velocities[: self.blocks].reshape(-1, 64, 4)
+        grids.append(nodal_grid(simulation, velocities, 4))
+        couple_nodes(self, nodes, span, gravity)
+        grids.append(nodal_grid(simulation, velocities, 4))
 
-    monkeypatch.setattr(type(stage), "apply", recorded)
+    monkeypatch.setattr(type(stage), "couple_nodes", recorded)
     simulation.advance(0.002)
     before, after = grids
     filled = stage.fields.filled[: 64 * stage.blocks].reshape(-1, 64, 1)

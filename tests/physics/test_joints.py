@@ -64,7 +64,11 @@ def jointed(folder, bodies, joints, gravity=-G, heavy=7000):
     """(simulation, its free bodies, its joints) of bodies in a box."""
     text = SCENE.format(gravity=gravity, heavy=heavy, bodies=bodies, joints=joints)
     simulation, _ = begin(folder, text)
-    return simulation, simulation.bodies.bodies, simulation.bodies.joints
+    return (
+        simulation,
+        simulation.features["rigid_bodies"].bodies,
+        simulation.features["rigid_bodies"].joints,
+    )
 
 
 def distances(joints):
@@ -346,7 +350,10 @@ def test_a_probe_of_a_joint(tmp_path):
         gravity=-G, heavy=1, bodies=ROD, joints=joint("hinge", ["rod"], PIVOT, more) + probe
     )
     simulation, _ = begin(tmp_path, text)
-    bodies, probes = simulation.bodies.bodies, Probes(scene(tmp_path, text), simulation, None, None)
+    bodies, probes = (
+        simulation.features["rigid_bodies"].bodies,
+        Probes(scene(tmp_path, text), simulation, None, None),
+    )
     probes.first()
     momentum = bodies.momentum[0].copy()
     for _ in range(100):

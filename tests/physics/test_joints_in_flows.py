@@ -28,7 +28,10 @@ def test_momentum_of_jointed_bodies_that_a_drop_hits(tmp_path, kind, more):
     text += free.BODY.format(k=1, bounce=0, shape=f"box = {lid}")
     text += joint(kind, ["block", "body1"], (0.23, 0.2, 0.25), more)
     simulation, _ = begin(tmp_path, text)
-    bodies, joints = simulation.bodies.bodies, simulation.bodies.joints
+    bodies, joints = (
+        simulation.features["rigid_bodies"].bodies,
+        simulation.features["rigid_bodies"].joints,
+    )
     start, before = free.totals(simulation), bodies.momentum.copy()
     while simulation.time < 0.07:
         simulation.advance(simulation.bound())
@@ -80,7 +83,10 @@ axis = "y"
 def test_a_light_wheel_in_water_is_stable(tmp_path):
     """A tenth as dense as water: most of its spin goes into the water, and none comes back."""
     simulation, _ = begin(tmp_path, WHEEL)
-    bodies, joints = simulation.bodies.bodies, simulation.bodies.joints
+    bodies, joints = (
+        simulation.features["rigid_bodies"].bodies,
+        simulation.features["rigid_bodies"].joints,
+    )
     apart, spin, lift = 0.0, [], 0.0
     while simulation.time < 0.1:
         dt = simulation.bound()
@@ -113,7 +119,7 @@ def test_two_halves_in_water_move_as_the_whole(tmp_path):
         simulation, _ = begin(tmp_path, pool + bodies)
         for _ in range(4):
             simulation.advance(simulation.bound())
-        speeds.append(simulation.bodies.bodies.v[:, 2].copy())
+        speeds.append(simulation.features["rigid_bodies"].bodies.v[:, 2].copy())
     held("two halves fixed to each other in water: speed after release over that of the whole",
          float(speeds[1].mean() / speeds[0][0]), 1.0, 0.05, source="the whole body",
          note="density 0.01, after 4 steps")  # fmt: skip

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.support.simulate import advance, begin, by_id, totals
+from vgmpi.kernels.step_records import StepSpan
 from vgmpi.scene.loads import mean_ramp_factor
 
 BLOCK = """
@@ -132,7 +133,7 @@ def test_shared_by_volume(tmp_path):
     text = BLOCK.replace("GRAVITY", "0").replace("RAMP", "")
     load = '[[load]]\nobject = ["block", "rider"]\nforce = [0, 0, 3]\n'
     simulation, _ = begin(tmp_path, text + load)
-    simulation.loads.apply(simulation.groups, 0.0, 1e-3, 1e-3)
+    simulation.features["loads"].push_particles(StepSpan(1, 0.0, 1e-3, 1e-3))
     v, thing = by_id(simulation, "v", "object")
     speeds = [np.unique(v[thing == k][:, 2]) for k in (0, 1)]
     assert [len(s) for s in speeds] == [1, 1]
@@ -149,7 +150,9 @@ def test_the_region_is_taken_at_the_start(tmp_path):
     def pressed():
         ids = [
             group.ids[at]
-            for group, at in zip(simulation.groups, simulation.loads.places[0], strict=True)
+            for group, at in zip(
+                simulation.groups, simulation.features["loads"].places[0], strict=True
+            )
         ]
         return np.sort(np.concatenate(ids))
 
@@ -163,7 +166,7 @@ def test_the_region_is_taken_at_the_start(tmp_path):
 
 def test_no_load_no_cost(tmp_path):
     simulation, _ = begin(tmp_path, BLOCK.replace("GRAVITY", "0").replace("RAMP", ""))
-    assert simulation.loads is None
+    assert "loads" not in simulation.features
 
 
 def test_gravity_by_keyframes(tmp_path):
@@ -221,7 +224,7 @@ def test_a_change_of_spin(tmp_path, transfer):
     mass = made.vol0 * np.array([1000.0, 500.0])[made.object]
     r = made.x - (mass[:, None] * made.x).sum(0) / mass.sum()
     if transfer == "flip":
-        simulation.loads.apply(simulation.groups, 0.002, 0.003, 0.001)
+        simulation.features["loads"].push_particles(StepSpan(3, 0.002, 0.003, 0.001))
         v, C = by_id(simulation, "v", "C")
         assert np.abs(v - np.cross([0, 0, 3], r)).max() < 1e-13 and not C.any()
         return

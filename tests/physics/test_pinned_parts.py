@@ -49,7 +49,7 @@ collider = "beam"
 
 def pinned_ids(made) -> np.ndarray:
     """Ids of the particles of the first pinned part."""
-    runs = np.concatenate([share.runs for share in made.pinned[0].shares])
+    runs = np.concatenate([share.runs for share in made.features["pinned_parts"][0].shares])
     return np.concatenate([np.arange(a, b + 1) for a, b in runs])
 
 
@@ -58,7 +58,7 @@ def sag_over_theory(folder, edge: float) -> tuple[float, float, float]:
     simulation, made = begin(folder, BEAM.format(edge=edge))
     (x0,) = by_id(simulation, "x")
     advance(simulation, 1.2)
-    before, since = simulation.reactions.totals[0].copy(), simulation.time
+    before, since = simulation.features["reactions"].totals[0].copy(), simulation.time
     advance(simulation, 1.3)
     (x,) = by_id(simulation, "x")
     length, width, free = END - edge, 2 * HALF, np.ones(len(x0), bool)
@@ -69,9 +69,9 @@ def sag_over_theory(folder, edge: float) -> tuple[float, float, float]:
     theory = line * r**2 * (6 * length**2 - 4 * length * r + r**2) / (24 * E * inertia)
     theory += line * (length * r - r**2 / 2) / (5 / 6 * E / 2 * width**2)
     sag = (x0 - x)[x0[:, 0] > END - DX / 2, 2].mean() / theory
-    rate = (simulation.reactions.totals[0] - before) / (simulation.time - since)
+    rate = (simulation.features["reactions"].totals[0] - before) / (simulation.time - since)
     weight = RHO * width**2 * free.sum() / len(x0) * 0.2 * G
-    arm = x[free, 0].mean() - made.pinned[0].masses.center[0]
+    arm = x[free, 0].mean() - made.features["pinned_parts"][0].masses.center[0]
     return float(sag), float(rate[2] / weight), float(-rate[4] / (weight * arm))
 
 
@@ -156,7 +156,7 @@ def test_a_tyre_turns_with_what_holds_it(tmp_path, text, holder):
     v, C, volume = (row[free] for row in by_id(simulation, "v", "C", "vol0"))
     spin = (x[free, 2] - 0.14) * v[:, 0] - (x[free, 0] - 0.14) * v[:, 2]
     spin = RHO * volume @ (spin + DX**2 / 4 * (C[:, 2] - C[:, 6]))  # with APIC's own share
-    impulse = float(simulation.reactions.totals[0, 4])
+    impulse = float(simulation.features["reactions"].totals[0, 4])
     held(f"tyre that {holder} starts to turn: angular impulse over its angular momentum",
          impulse / spin, 1.0, 1e-5, source="angular momentum")  # fmt: skip
 
@@ -227,7 +227,10 @@ youngs_modulus = 1e5
 def test_a_tree_in_a_pot_has_the_momentum_of_both(tmp_path, gravity, regions):
     simulation, made = begin(tmp_path, POT.format(gravity=gravity) + regions)
     mass, linear, angular = momenta(simulation)
-    held_mass, body = made.pinned[0].masses.mass, simulation.bodies.bodies
+    held_mass, body = (
+        made.features["pinned_parts"][0].masses.mass,
+        simulation.features["rigid_bodies"].bodies,
+    )
     pot = 1800 * 0.08 * 0.08 * 0.06
     assert body.mass[0] == pytest.approx(pot + held_mass, rel=1e-2)
     (x0,) = by_id(simulation, "x")
@@ -243,7 +246,7 @@ def test_a_tree_in_a_pot_has_the_momentum_of_both(tmp_path, gravity, regions):
     if not gravity:
         assert np.abs(angular_later - angular).max() < 1e-12 * np.abs(angular).max()
     (x,) = by_id(simulation, "x")
-    pose = simulation.movers.free.matrices()[0]
+    pose = simulation.collider_nodes.free.matrices()[0]
     ids = pinned_ids(made)
     carried = x0[ids] @ pose[:3, :3].T + pose[:3, 3]
     assert np.abs(carried - x[ids]).max() < 1e-13

@@ -74,7 +74,7 @@ def test_a_pile_stays_for_ten_seconds(tmp_path, pile):
 @pytest.mark.slow
 def test_a_stone_comes_to_rest_on_sand(tmp_path):
     simulation, _ = begin(tmp_path, SAND)
-    bodies = simulation.bodies.bodies
+    bodies = simulation.features["rigid_bodies"].bodies
     advance(simulation, 0.6)
     began, place, momentum = simulation.time, bodies.x.copy(), bodies.momentum[0, 2]
     assert place[0, 2] < 0.16, "it fell"

@@ -44,7 +44,7 @@ def started(folder, objects, gravity=-G, time=""):
     """(simulation, its free bodies) of rigid bodies in a box."""
     text = SCENE.format(gravity=gravity, time=time, objects=objects)
     simulation, _ = begin(folder, text)
-    return simulation, simulation.bodies.bodies
+    return simulation, simulation.features["rigid_bodies"].bodies
 
 
 def test_a_projectile(tmp_path):

@@ -20,7 +20,7 @@ def spin_left(folder, body, radius, wide, high, turns):
     text = SCENE.format(long=round(wide * DX, 9), turns=rate, wheel=body, around="water")
     text = text.replace("angular_velocity", "rigid = true\nangular_velocity")
     simulation, _ = begin(folder, text.replace("0.04", repr(round(high * DX, 9))))
-    bodies = simulation.bodies.bodies
+    bodies = simulation.features["rigid_bodies"].bodies
     start = bodies.spin[0, 2]
     advance(simulation, turns * 2 * np.pi / rate)
     return float(bodies.spin[0, 2] / start)

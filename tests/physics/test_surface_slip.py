@@ -138,7 +138,7 @@ def test_a_rigid_sphere_that_liquid_sticks_to_sinks_by_stokes(tmp_path, radius):
     rows = []
     while simulation.time < 0.5:
         simulation.advance(simulation.bound())
-        rows.append((simulation.time, simulation.bodies.bodies.x[0, 2]))
+        rows.append((simulation.time, simulation.features["rigid_bodies"].bodies.x[0, 2]))
     t, z = np.array(rows).T
     speed = -np.polyfit(t[t > 0.15], z[t > 0.15], 1)[0]
     alone = 2 * (DENSITIES[0] - DENSITIES[1]) * G * a**2 / (9 * VISCOSITY)

@@ -122,9 +122,9 @@ def force_on_plate(simulation, end: float) -> float:
     """Mean force [N] along x in the last half of the time from now to `end` [s]."""
     start = simulation.time
     advance(simulation, 0.5 * (start + end))
-    before, since = -simulation.reactions.totals[0, 0], simulation.time
+    before, since = -simulation.features["reactions"].totals[0, 0], simulation.time
     advance(simulation, end)
-    return (-simulation.reactions.totals[0, 0] - before) / (simulation.time - since)
+    return (-simulation.features["reactions"].totals[0, 0] - before) / (simulation.time - since)
 
 
 @pytest.mark.parametrize(
@@ -176,8 +176,8 @@ def test_a_cup_that_is_carried_and_turned_loses_nothing(tmp_path, wall, material
     text = CUP.format(bottom=0.06 - wall * DX, outer=0.08 + wall * DX, material=material)
     simulation, _ = begin(tmp_path, text)
     advance(simulation, end)
-    simulation.movers.stand(simulation.time)
-    table = simulation.movers.table
+    simulation.collider_nodes.place(simulation.time)
+    table = simulation.collider_nodes.table
     (x,) = by_id(simulation, "x")
     own = (x - table.about[0] - table.move[0]) @ table.rotation[0] + table.about[0]
     r = np.hypot(own[:, 0] - 0.16, own[:, 1] - 0.12)

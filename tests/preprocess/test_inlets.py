@@ -6,9 +6,9 @@ from scipy.spatial import cKDTree
 
 from tests.support.simulate import advance, begin, by_id
 from tests.support.small_scenes import scene
+from vgmpi.features.particle_insertion import remove_particles
 from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.scene import inlet_geometry
-from vgmpi.solver.boundary.outlets import remove
 from vgmpi.solver.initial_particles import known_of, plan_for
 
 TANK = """
@@ -300,7 +300,7 @@ def test_an_outlet_takes_after_every_fourth_step(tmp_path):
             assert (x[:, 0] <= 0.21).all()
         before = there
     assert taken >= 2 and sorted_then < taken
-    ((came, _, went, _),) = simulation.flow_accounting.totals(simulation.ranks)
+    ((came, _, went, _),) = simulation.features["flow_accounting"].totals()
     assert came == len(made.x) and went == came - len(before)
 
 
@@ -322,7 +322,7 @@ def test_no_sort_is_missed_where_particles_were_taken(tmp_path, engine):
             empty += (group.count == 0).any() and not sorts
             if sorts and simulation.step % 4 == 0:
                 simulation.sort()
-        assert simulation.flow_accounting.part[0][2] > 200
+        assert simulation.features["flow_accounting"].part[0][2] > 200
         assert (group.f[:, group.ids < 0] == 0).all()  # what is gone does not move
         found.append(by_id(simulation, "id", "x", "v"))
     assert empty
@@ -344,7 +344,7 @@ def test_an_open_wall_does_nothing_to_what_leaves(tmp_path, wall, v):
         assert np.abs(now - v).max(initial=0.0) < 1e-12
         if len(now) == 0:
             break
-    ((came, _, went, _),) = simulation.flow_accounting.totals(simulation.ranks)
+    ((came, _, went, _),) = simulation.features["flow_accounting"].totals()
     assert came == went == len(made.x) == 216
 
 
@@ -361,7 +361,7 @@ def test_what_is_removed_leaves_the_others_in_order(tmp_path):
     gone = np.random.default_rng(1).choice(group.index(), 700, replace=False)
     names = set(group.ids[gone].tolist())
     order = [i for i in _ids(group)[0].tolist() if i not in names]
-    remove(group, gone)
+    remove_particles(group, gone)
     ids, places = _ids(group)
     assert ids.tolist() == order
     assert set(group.ids[group.ids >= 0].tolist()) == set(order)

@@ -236,7 +236,7 @@ def test_off_is_off(tmp_path):
     plan = make_plan(loaded, [1, 1], [1e-6, 1e-6], False)
     assert plan.driven == () and [phase.name for phase in plan.phases] == ["sand"]
     simulation, _ = begin(tmp_path, text[: text.rindex("[[object]]")])
-    assert simulation.driven is None and simulation.releases is None
+    assert "prescribed_motion" not in simulation.features and "releases" not in simulation.features
     assert isinstance(simulation.engine, Cpu) and not simulation.engine.no_rigid.ways.driven.size
 
 

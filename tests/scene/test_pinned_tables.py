@@ -186,9 +186,9 @@ def test_parts_regions_and_thin_walls_have_groups_of_their_own(tmp_path, more):
     """A region of the material of a body that is pinned belongs to the body's free group."""
     simulation, made = begin(tmp_path, BESIDE + more)
     plan = simulation.plan
-    (part,), (region,) = plan.pins, plan.regions
+    (part,), (region,) = plan.features[0].pinned, plan.regions
     (group,) = part.groups
-    assert plan.groups[group].pinned and not plan.groups[region.group].pinned
+    assert plan.groups[group].carrier and not plan.groups[region.group].carrier
     assert plan.groups[region.group].material == "rubber"
     counts = [group.count.sum() for group in simulation.groups]
     assert counts[group] == part.region.count and sum(counts) == len(made.x)

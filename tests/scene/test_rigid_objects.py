@@ -263,7 +263,7 @@ def test_a_thin_body_is_told_of_once(tmp_path, caplog):
 def test_the_plan_counts_the_surface_points_of_the_solver(tmp_path):
     text = SCENE + MORE.format(name="egg", material="oak", shape=EGG)
     simulation, _ = begin(tmp_path, text)
-    first = simulation.bodies.surface.first
+    first = simulation.features["rigid_bodies"].surface.first
     scene = vgmpi.load(tmp_path / "scene.toml", text=text)
     told = [body.points for body in vgmpi.plan(scene).rigid.bodies]
     assert told == (first[1:] - first[:-1]).tolist()

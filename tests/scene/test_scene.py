@@ -11,8 +11,8 @@ import pytest
 from vgmpi.runtime.config.schema import SceneError
 from vgmpi.scene import markdown_reference
 from vgmpi.scene.loader import load
-from vgmpi.scene.objects import Object
 from vgmpi.scene.scene import phase_of
+from vgmpi.scene.scene_feature import object_table
 from vgmpi.scene.sections import Domain
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -106,7 +106,7 @@ def test_resolved_is_json_and_makes_the_same_scene(small, tmp_path):
     scene = load(small, ["domain.cell=1 cm"])
     resolved = json.loads(json.dumps(scene.to_json()))
     assert resolved["domain"]["cell"] == 0.01 and resolved["output"]["checkpoint_interval"] == 600.0
-    assert [Object.model_validate(item) for item in resolved["object"]] == list(scene.object)
+    assert [object_table().model_validate(item) for item in resolved["object"]] == [*scene.object]
     assert Domain.model_validate({**resolved["domain"], "boundary": "slip"}).size == (
         0.64,
         0.32,

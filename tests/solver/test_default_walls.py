@@ -9,10 +9,10 @@ from tests.support.engine_pair import of_scene, worst
 from tests.support.simulate import advance, begin, by_id
 from tests.support.small_scenes import scene
 from vgmpi.apps.run.cli import main
+from vgmpi.kernels.step_records import StepReport
 from vgmpi.kernels.transfer.g2p import OUT_OF_DOMAIN
 from vgmpi.planning.cost.plan_report import format_plan
 from vgmpi.preprocess.scene_builder import build_scene
-from vgmpi.solver.engines.engine_protocol import StepReport
 from vgmpi.solver.failure_message import failure_message, is_way_out
 from vgmpi.solver.initial_particles import known_of, plan_for
 from vgmpi.solver.run import Runner

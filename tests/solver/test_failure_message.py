@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from tests.support.small_scenes import scene
+from vgmpi.kernels.step_records import AccumulatorOverflow, StepReport
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.exchange_topology import NEAR_BODIES, TopologyRequirements
 from vgmpi.preprocess.scene_builder import build_scene
-from vgmpi.solver.engines.engine_protocol import AccumulatorOverflow, StepReport
 from vgmpi.solver.failure_message import failure_message
 from vgmpi.solver.initial_particles import known_of, plan_for
 

@@ -303,7 +303,7 @@ def test_nobody_asks_nothing_is_there(tmp_path):
         {"name", "sampling_interval", "wall"}
     ]
     simulation = runs[1].simulation
-    assert simulation.reactions is None and simulation.engine.reactions is None
+    assert "reactions" not in simulation.features and simulation.engine.reactions is None
     assert all(part.ghosts is None for part in simulation.engine.parts)
     assert all(room.given is None for room in simulation.engine.room)
     one, other = (run.arrays("positions", "velocity", "C") for run in runs)

@@ -7,6 +7,7 @@ import pytest
 
 import vgmpi
 from tests.support import simulated_ranks
+from vgmpi.kernels.step_records import StepSpan
 
 DENSITY = 1100.0  # [kg/m3] of rubber
 SCENE = """
@@ -87,7 +88,7 @@ def test_values_reach_their_particles(precision):
         force = np.zeros((total, 3))
         force[ids] = random.normal(size=(300, 3))
         sim.add_force(ids, force[ids])
-        changes.apply_forces(1e-3)
+        changes.push_particles(StepSpan(1, 0.0, 1e-3, 1e-3))
         want += 1e-3 * force / (DENSITY * sim.array("vol0")[:, None])
         rounding = 3e-7 if precision == "single" else 1e-14
         np.testing.assert_allclose(sim.array("velocity"), want, rounding, rounding)
@@ -277,4 +278,4 @@ def test_a_card_refuses():
 
 def test_a_run_that_nobody_steers_has_none_of_it():
     run = vgmpi.run(scene(time_end=0.001))
-    assert run.simulation.changes is None
+    assert "particle_changes" not in run.simulation.features

@@ -180,7 +180,7 @@ def parts(names):
     found = set()
     for name in names:
         words = [word for word in name.split(".") if word != "*"]
-        wide = words[0] in ("engine", "tables", "needs", "plan")
+        wide = words[0] in ("engine", "tables", "needs", "plan", "features")
         deep = wide and words[1] in ("layers", "beside", "room", "parts", "asked", "contributes")
         found.add(".".join(words[: 1 + wide + deep]))
     return found
@@ -303,22 +303,22 @@ FEATURES = {
     "a solid to which it sticks": (
         PLAIN.replace("tait_coefficient", "viscosity = 1\ntait_coefficient", 1)
         + RUBBER + BESIDE + "slip_length = 0\n",
-        {"engine.layers.offsets", "couplings", "needs.sticking", *(
+        {"engine.layers.offsets", "features.solid_slip", "needs.sticking", *(
             f"{owner}.velocity gradient {a}"
             for owner in ("engine.layers", "tables.asked", "tables.contributes") for a in "xyz"
         )},
         {"ElasticLaw", "SurfaceDistance", "Offsets", "VelocityGradient", "NodesOfPhases",
          "SolidSlipLaw", "SlipLaw", "apply_solid_slip"},
     ),
-    "a collider": (PLAIN + POST, {"engine.layers.offsets", "solids"}, {"Offsets"}),
+    "a collider": (PLAIN + POST, {"engine.layers.offsets", "collider_nodes"}, {"Offsets"}),
     "a moving collider": (
         PLAIN + POST + "motion = { velocity = [0.01, 0, 0] }\n",
-        {"engine.layers.offsets", "movers"},
+        {"engine.layers.offsets", "collider_nodes"},
         {"Offsets"},
     ),
     "a pinned part": (
         PLAIN + RUBBER + PINNED,
-        {"engine.layers.offsets", "pins", *(
+        {"engine.layers.offsets", "features.pinned_parts", *(
             f"{owner}.velocity gradient {a}"
             for owner in ("engine.layers", "tables.asked", "tables.contributes") for a in "xyz"
         )},
@@ -327,12 +327,12 @@ FEATURES = {
     ),
     "a thin wall": (
         PLAIN + POST.replace("[0.24,", "[0.2,") + "thin = true\n",
-        {"engine.layers.offsets", "movers"},
+        {"engine.layers.offsets", "collider_nodes"},
         {"Offsets", "SidedPhases"},
     ),
     "an implicit pressure": (
         PLAIN.replace("[accuracy]", '[accuracy]\npressure = "implicit"'),
-        {"couplings", "engine.beside.displacement", *(
+        {"features.implicit_pressure", "engine.beside.displacement", *(
             f"{owner}.particle pressure"
             for owner in ("engine.layers", "tables.asked", "tables.contributes")
         )},
@@ -340,15 +340,15 @@ FEATURES = {
          "Lattice", "PressureFields", "set_nodes", "set_cells", "set_excess", "respond", "sweep",
          "add_velocities", "store_node_pressure", "store_moves"},
     ),
-    "an inlet": (PLAIN + TAP, {"sources", "plan.sources"}, set()),
-    "an outlet": (PLAIN + DRAIN, {"sinks"}, set()),
+    "an inlet": (PLAIN + TAP, {"features.inlets", "plan.sources"}, set()),
+    "an outlet": (PLAIN + DRAIN, {"features.outlets"}, set()),
     "a probe": (
         PLAIN + '[[probe]]\nname = "deep"\nsampling_rate = 100\npressure = [0.1, 0.1, 0.1]\n',
         set(), set(),
     ),
     "a wall that is felt": (
         PLAIN + '[[probe]]\nname = "bottom"\nsampling_rate = 100\nwall = "bottom"\n',
-        {"reactions", "engine.room.given", "engine.parts.ghosts"},
+        {"features.reactions", "engine.room.given", "engine.parts.ghosts"},
         {"ReactionSums", "GhostNodes"},
     ),
     "density correction": (

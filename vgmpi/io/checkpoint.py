@@ -27,6 +27,20 @@ class CheckpointError(RuntimeError):
     """A checkpoint is not valid; its text is one line that names the file."""
 
 
+class Mismatch(CheckpointError):
+    """Error of a checkpoint that does not belong to a scene."""
+
+
+def is_number(value: object) -> bool:
+    """Return whether a value of a file is a number and no boolean."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def is_count(value: object, upper: int = 1 << 62) -> bool:
+    """Return whether a value of a file is an integer in the half-open range from 0 to `upper`."""
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < upper
+
+
 def write(folder: str | Path, ranks: SerialCommunicator, state: dict) -> Path:
     """Write a checkpoint into `folder` and return its path. Collective.
 

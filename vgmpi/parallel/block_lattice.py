@@ -114,3 +114,10 @@ def hilbert_index(points, levels):
             for a in range(3):
                 out[n] = out[n] << 1 | ((x[a] ^ turn) >> level & 1)
     return out
+
+
+def position_limits(block: np.ndarray, cells: tuple[int, int, int]) -> np.ndarray:
+    """Return position limits [cells from block center], half a cell beyond walls, (n, 3, 2)."""
+    low = -2.0 - BLOCK_EDGE * block
+    high = np.array(cells) - 1.0 - BLOCK_EDGE * block
+    return np.stack([np.maximum(low, -5.0), np.minimum(high, 5.0)], -1)

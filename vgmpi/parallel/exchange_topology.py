@@ -8,6 +8,7 @@ exchange their sums. All tables follow from the census: sender and receiver agre
 communication.
 """
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -80,9 +81,8 @@ class TopologyRequirements(NamedTuple):
     planes: tuple[ContactWall, ...] = ()  # walls that act on such phases by contact
     has_surface_friction: bool = False  # True if such a phase has friction against something
     volumes: np.ndarray = np.zeros(0, bool)  # (phases,) True if rest volumes are summed
-    near_colliders: tuple[str, ...] = ()  # fields that are summed near colliders and pins alone
+    near_colliders: tuple[str, ...] = ()  # fields that are summed near surfaces alone
     at_surfaces: bool = False  # these fields are summed in the blocks near colliders alone
-    pinned: np.ndarray = np.zeros(0, bool)  # (phases,) True with pinned parts, or empty
     pressure: bool = False  # the particles' pressure is summed
     sticking: np.ndarray = np.zeros(0, bool)  # (phases,) True if a liquid sticks to a solid there
 
@@ -192,7 +192,7 @@ def build_topology(
     rank: int,
     needs: TopologyRequirements,
     solid=None,
-    pins=None,
+    features: Iterable = (),
 ) -> ExchangeTopology:
     """Build the topology tables of a rank.
 
@@ -203,7 +203,8 @@ def build_topology(
         needs: Requirements of the scene.
         solid: Function from blocks (n, 3) to rows among the collider's blocks or -1; None without
             colliders.
-        pins: The same of pinned parts.
+        features: Features of the run: the same functions, with `phases` of which particles are
+            needed near their blocks, shape (phases,) bool.
     """
     mine = census.owner == rank
     if not mine.any():
@@ -213,8 +214,8 @@ def build_topology(
     rows = np.flatnonzero(box.holds(block))
     index, phase = box.index_of(block[rows]), needs.phase_of[census.group[rows]]
     contributes = _who_contributes(box, index, phase, census.group[rows], needs, solid)
-    if pins is not None:
-        close_by = _by_solid(box, pins)[index] & needs.pinned[phase]
+    for feature in (feature for feature in features if feature.phases.any()):
+        close_by = _by_solid(box, feature)[index] & feature.phases[phase]
         contributes |= {name: contributes[name] | close_by for name in needs.near_colliders}
     is_own = box.full(False, bool)
     is_own[index[mine[rows]]] = True

@@ -4,6 +4,7 @@ import math
 
 from vgmpi.scene.gravity import gravity_keys
 from vgmpi.scene.scene import Scene
+from vgmpi.scene.scene_feature import features
 
 from .phases_and_groups import GroupPlan, PhasePlan
 
@@ -72,11 +73,12 @@ def obstacles(
     if len(phases) > 1 or len({group.density for group in groups}) > 1:
         _refuse(("accuracy", "pressure"), "several phases or densities")
     for k, obj in enumerate(scene.object):
-        features = {
-            "collider": obj.collider, "rigid": obj.rigid, "pinned": obj.pinned,
-            "motion": obj.motion, "release_time": obj.release_time,
+        values = {
+            "collider": obj.collider, "rigid": obj.rigid, "motion": obj.motion,
+            "release_time": obj.release_time,
+            **{key: True for feature in features() for key in feature.keys_of(obj)},
         }  # fmt: skip
-        for key, value in features.items():
+        for key, value in values.items():
             if value:
                 _refuse(("object", k, key), "colliders and bodies that are held or moved")
     for name, items in (("inlet", scene.inlet), ("outlet", scene.outlet)):

@@ -56,12 +56,12 @@ class GroupPlan(NamedTuple):
     cell_dilatation: bool = False  # its volume follows the mean divergence of cells
     implicit_pressure: bool = False  # the grid finds its pressure, without a bound by its waves
     softens_spray: bool = False  # its volume follows a part of the divergence where it fills little
-    pinned: bool = False  # its particles are carried by what holds them (pinned_groups.py)
+    carrier: str = ""  # feature that moves its particles outside the grid, see `ActiveFeature`
 
     @property
     def is_carried(self) -> bool:
         """True if its particles follow a given motion instead of the grid's."""
-        return self.driven or self.pinned
+        return self.driven or bool(self.carrier)
 
     @property
     def is_liquid(self) -> bool:

@@ -7,9 +7,8 @@ does not exist.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,6 +23,7 @@ from vgmpi.scene.sections import Accuracy
 from .back_sides import WallSidesPlan, with_back_sides
 from .color_exchange import ColorExchange, color_exchange
 from .correction_intervals import correction_interval, shift_interval
+from .feature_plan import FeaturePlan, feature_plans
 from .idle_phase import idle_phase
 from .implicit_pressure_rules import check_implicit_pressure, falling_rate, is_implicit
 from .inlet_schedule import InletPlan, OutletPlan, inlet_plans, outlet_plans
@@ -36,7 +36,6 @@ from .phases_and_groups import (
     with_runtime_requirements,
     with_volume_correction,
 )
-from .pinned_groups import PinnedPlan, pinned_plans
 from .prescribed_bodies import Extents, PrescribedBodyPlan, prescribed_body_plans, prescribed_phases
 from .proximity import Proximity
 from .region_groups import RegionPlan
@@ -116,7 +115,7 @@ class Plan:
     sources: tuple[InletPlan, ...] = ()
     sinks: tuple[OutletPlan, ...] = ()
     driven: tuple[PrescribedBodyPlan, ...] = ()
-    pins: tuple[PinnedPlan, ...] = ()  # pinned parts of bodies
+    features: tuple[FeaturePlan, ...] = ()  # optional features, in the order in which they act
     opens: tuple[float | None, ...] = (None,) * 6  # [s] when each wall vanishes
     feels: bool = False  # reaction impulses of each collider and wall are summed
     free_bodies: bool = False  # some colliders are free rigid bodies
@@ -136,8 +135,8 @@ class Plan:
 
     @property
     def has_releases(self) -> bool:
-        """True if bodies, pinned parts or walls are released at a time."""
-        parts = any(part.region.release_time < math.inf for part in self.pins)
+        """True if bodies, parts of them or walls are released at a time."""
+        parts = any(feature.released_parts() for feature in self.features)
         return bool(self.driven) or parts or any(time is not None for time in self.opens)
 
     @property
@@ -231,7 +230,7 @@ class Plan:
                 total += int(n * (1.4 * self.bytes_per_particle(self.group_of[k]) + 24))
         for body in self.driven:  # they have space in two groups
             n = sum(self.count[k] for k in body.things)
-            total += int(n * 1.4 * self.bytes_per_particle(body.joins))
+            total += int(n * 1.4 * self.bytes_per_particle(body.group_after_release))
         width, nodes = self.real.itemsize, 64 * 4
         sum_bytes = 8 * (1 if width == 4 else 2) + width  # a reproducible sum, and its value
         touches = self.contact or self.collider or bool(self.planes)
@@ -247,7 +246,7 @@ class Plan:
 def make_plan(
     scene: Scene, count: list[int], volume: list[float], collider: bool,
     center: list[list[float]] | None = None, shades: np.ndarray | None = None,
-    surface: list[bool] | None = None, extents: Extents | None = None, pinned: Sequence = (),
+    surface: list[bool] | None = None, extents: Extents | None = None, prepared: Any = None,
 ) -> Plan:  # fmt: skip
     """Return the plan of a scene. Raises SceneError if no time step satisfies the scene.
 
@@ -260,7 +259,7 @@ def make_plan(
         shades: Color range, see `color_exchange.coefficient_ranges`.
         surface: Whether the particles of each know its surface; default: none.
         extents: Corners, see `prescribed_bodies.prescribed_body_plans`.
-        pinned: Pinned parts with their particles.
+        prepared: Prepared data of features by name, see scene/scene_feature.py.
     """
     bodies = {k: scene.material[t.material] for k, t in enumerate(scene.things) if t.material}
     real, n = FLOAT_TYPES[scene.accuracy.precision], len(volume)
@@ -279,7 +278,7 @@ def make_plan(
     driven, groups, group_of = prescribed_body_plans(
         scene, complete, group_of, phases, extents or {}
     )
-    pins, groups = pinned_plans(groups, group_of, pinned)
+    features, groups = feature_plans(groups, group_of, prepared or {})
     phases = with_soft_bodies(scene, phases, groups, volume, center)
     groups, phases, sides = with_back_sides(scene, groups, phases)
     plan = Plan(
@@ -297,7 +296,7 @@ def make_plan(
         splines=scene.accuracy.gradient == "bspline", implicit_pressure=is_implicit(scene),
         shift_interval=shift_interval(scene) * any(group.shifts for group in groups),
         gravity_ramp_time=scene.domain.gravity_ramp_time, joints=scene.joint,
-        gravity_keys=gravity_keys(scene.domain), pins=pins, opens=tuple(scene.domain.opens),
+        gravity_keys=gravity_keys(scene.domain), features=features, opens=tuple(scene.domain.opens),
         sources=inlet_plans(scene, group_of, count), sinks=outlet_plans(scene), driven=driven,
         feels=any(probe.feels for probe in scene.probe),
         free_bodies=any(obj.free_body is not None for obj in scene.object),

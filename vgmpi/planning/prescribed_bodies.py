@@ -15,6 +15,8 @@ from vgmpi.scene.scene import Scene
 
 from .phases_and_groups import GroupPlan, PhasePlan
 
+TIME_TOLERANCE = 1.0 + 1e-12  # [-] ratio below which two times count as equal
+
 Extents = dict[int, tuple[tuple[float, ...], tuple[float, ...]]]  # object -> corners [m]
 
 
@@ -31,7 +33,7 @@ class PrescribedBodyPlan(NamedTuple):
 
     things: tuple[int, ...]  # rows of the scene's objects
     group: int  # group while the motion is prescribed
-    joins: int  # group after the release
+    group_after_release: int  # group after the release
     course: Trajectory | None  # prescribed motion; None: the bodies are frozen
     about: tuple[float, float, float]  # [m] center of rotation, or their center
     far: float  # [m] largest distance of a particle from the axis of rotation
@@ -85,8 +87,8 @@ def prescribed_body_plans(
     number = {phase.name: k for k, phase in enumerate(phases)}
     plans, more, begins = [], list(groups), list(group_of)
     for name, rows in prescribed_phases(scene).items():
-        joins, first = group_of[rows[0]], scene.object[rows[0]]
-        own = groups[joins]._replace(
+        released, first = group_of[rows[0]], scene.object[rows[0]]
+        own = groups[released]._replace(
             name=f"{name}/{first.material}", phase=number[name], apart=False, shares=False,
             driven=True,
         )  # fmt: skip
@@ -100,7 +102,7 @@ def prescribed_body_plans(
         if first.motion is not None:
             course = course_of(first, low, high)
             about, radius = course.about, course.max_radius(low, high)
-        plans.append(PrescribedBodyPlan(rows, len(more), joins, course, about, radius, layers))
+        plans.append(PrescribedBodyPlan(rows, len(more), released, course, about, radius, layers))
         more.append(own)
     return tuple(plans), tuple(more), tuple(begins)
 

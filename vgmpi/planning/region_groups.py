@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from .pinned_groups import set_pinned_groups
-
 if TYPE_CHECKING:
     from .plan import Plan
 
@@ -30,7 +28,7 @@ def region_plans(plan: "Plan", entries: list[dict]) -> tuple[RegionPlan, ...]:
         plan: The plan.
         entries: Entries of the objects and inlets in output files.
     """
-    free = [g for g, group in enumerate(plan.groups) if not group.pinned]
+    free = [g for g, group in enumerate(plan.groups) if not group.carrier]
     number = {(plan.groups[g].phase, plan.groups[g].material): g for g in free}
     plans = []
     for k, entry in enumerate(entries):
@@ -43,15 +41,11 @@ def region_plans(plan: "Plan", entries: list[dict]) -> tuple[RegionPlan, ...]:
 def group_counts(plan: "Plan") -> list[tuple[int, int]]:
     """Return (particles, group) of each object and inlet without its parts, then of each part.
 
-    Parts are regions and pinned parts. The group of scenery is -1.
+    Parts are regions and those of features. The group of scenery is -1.
     """
     counts = list(plan.count)
     parts = [(region.thing, region.particles, region.group) for region in plan.regions]
-    parts += [
-        (part.object, share.particles, group)
-        for part in plan.pins
-        for group, share in zip(part.groups, part.region.shares, strict=True)
-    ]
+    parts += [part for feature in plan.features for part in feature.parts()]
     for number, particles, _ in parts:
         counts[number] -= particles
     own = list(zip(counts, plan.group_of, strict=True))
@@ -70,5 +64,6 @@ def groups_of_particles(plan: "Plan", ids: np.ndarray, owner: np.ndarray) -> np.
     for region in plan.regions:
         is_inside = (owner == region.thing) & (ids >= region.first)
         groups[is_inside & (ids < region.first + region.particles)] = region.group
-    set_pinned_groups(plan.pins, ids, groups)
+    for feature in plan.features:
+        feature.assign_groups(ids, groups)
     return groups

@@ -9,6 +9,7 @@ import scipy
 from vgmpi.preprocess.sampling.voxels import Voxels
 from vgmpi.scene.objects import Object
 from vgmpi.scene.scene import Scene
+from vgmpi.scene.scene_feature import features
 from vgmpi.scene.subtraction import is_subtractable, subtracted_names
 
 from .built_object import BuiltObject
@@ -99,7 +100,7 @@ def _inside_colliders(scene: Scene, pieces: list[BuiltObject]) -> list[str]:
     lines: list[str] = []
     for k, obj in enumerate(scene.object):
         # what holds or moves such a body may well lie in it
-        is_exempt = obj.motion is not None or bool(obj.pinned)
+        is_exempt = obj.motion is not None or any(each.may_overlap(obj) for each in features())
         if obj.role != "body" or is_exempt:
             continue
         overlaps = []

@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -18,6 +18,7 @@ from vgmpi.runtime import process_limits
 from vgmpi.scene.inlets_outlets import Inlet
 from vgmpi.scene.objects import Object
 from vgmpi.scene.scene import Scene
+from vgmpi.scene.scene_feature import InitialParticles, prepare_features
 
 from . import inlet_particles, memory_estimate
 from .body_regions import (
@@ -38,7 +39,6 @@ from .motion_checks import (
     warn_of_distant_joints,
 )
 from .object_builder import build_object
-from .pinned_regions import PinnedRegion, resolve_pinned_parts, with_pinned_masses
 from .placement import PlacementError
 from .setting_checks import report_flip_ratio, warn_of_locking, warn_of_unlikely_objects
 
@@ -107,7 +107,7 @@ class PreparedScene:
         None  # (n, 10) see planning/particle_channels.py, None if not needed
     )
     shade: np.ndarray | None = None  # (n,) factors of the light painted on sh; None if all are 1
-    pinned: tuple[PinnedRegion, ...] = ()  # pinned parts of bodies
+    features: dict[str, Any] = field(default_factory=dict)  # prepared data of features, by name
     warnings: tuple[str, ...] = ()  # lines on objects that share space
 
 
@@ -238,7 +238,8 @@ def _join(scene: Scene, pieces: list[BuiltObject]) -> PreparedScene:
     x = _rows(pieces, bodies, lambda p: p.cloud.x)
     vol0, owner = _rows(pieces, bodies, lambda p: p.volume), _owners(pieces, bodies)
     colliders = _colliders(scene, pieces, x)
-    pinned = resolve_pinned_parts(scene, x, vol0, owner, objects, colliders)
+    particles = InitialParticles(x, vol0, owner, objects)
+    features, colliders = prepare_features(scene, particles, colliders)
     return PreparedScene(
         x=x,
         v0=np.concatenate([np.zeros((0, 3)), *(_velocity(scene, k, pieces[k]) for k in bodies)]),
@@ -247,12 +248,12 @@ def _join(scene: Scene, pieces: list[BuiltObject]) -> PreparedScene:
         **_appearance(pieces, bodies, terms),
         scenery=scenery,
         objects=objects,
-        colliders=with_pinned_masses(colliders, pinned),
+        colliders=colliders,
         theta0=_rows(pieces, bodies, _theta),
         loads=resolve_loads(scene, x, vol0, owner, objects),
         passive=_passive_gaussians(pieces, objects, terms),
         surface0=_surfaces(pieces, bodies),
-        pinned=tuple(pinned),
+        features=features,
     )
 
 

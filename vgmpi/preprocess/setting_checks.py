@@ -8,10 +8,10 @@ import numpy as np
 
 from vgmpi.materials.material import HyperelasticMaterial
 from vgmpi.scene.scene import Scene
+from vgmpi.scene.scene_feature import features
 from vgmpi.scene.sections import WALLS
 
 from .built_object import BuiltObject
-from .shape_sdf import contains
 
 log = logging.getLogger("vgmpi")
 
@@ -63,8 +63,7 @@ def _stands_free(scene: Scene, k: int, piece: BuiltObject, down: np.ndarray) -> 
     if not is_elastic or obj.rigid or obj.motion is not None or not len(piece.cloud.x):
         return False
     lowest = piece.cloud.x[[np.argmax(piece.cloud.x @ down)]]
-    cell = scene.domain.cell
-    return not obj.pinned or any(contains(part, lowest, cell).any() for part in obj.pinned)
+    return not any(each.hangs(obj, lowest, scene.domain.cell) for each in features())
 
 
 def _warn_of_buckling(

@@ -22,11 +22,11 @@ from .loads import Load, validate_load
 from .number_range import numbers_out_of_range
 from .object_files import find_object_file
 from .objects import Object, validate_body_name, validate_object, validate_release
-from .pinned_parts import validate_pinned_parts
 from .probes import Probe, collider_names, validate_probe
 from .regions import validate_region_kinds
 from .rigid_objects import as_collider, validate_bodies, validate_rigid_probes, validate_rigid_scene
 from .scene import Scene, miscible_materials, phase_of
+from .scene_feature import check_object, features, object_table
 from .sections import SECTIONS, Appearance, Domain, Output, TopLevelKeys, validate_cell_counts
 from .slip_lengths import validate_slip_lengths
 from .subtraction import validate_subtractions
@@ -34,8 +34,8 @@ from .thin_walls import validate_thin_scene
 
 REQUIRED = ("domain", "time", "material", "object")
 SCENE_RULES = (
-    validate_rigid_scene, validate_slip_lengths, validate_region_kinds, validate_pinned_parts,
-    validate_thin_scene, validate_subtractions,
+    validate_rigid_scene, validate_slip_lengths, validate_region_kinds, validate_thin_scene,
+    validate_subtractions,
 )  # fmt: skip
 LISTS = ("object", "coupling", "joint", "load", "probe", "inlet", "outlet")
 
@@ -100,7 +100,7 @@ class SceneLoader:
         role = None
         if None not in objects:
             role = {o.name: "rigid" if o.rigid else o.role for o in objects}
-            for validate in SCENE_RULES:
+            for validate in (*SCENE_RULES, *(feature.check_scene for feature in features())):
                 self.errors += validate(objects, kinds, pairs, tables.get("accuracy"))
         joints = read_joints(self, data.get("joint", []), objects)
         self.check_color_bodies(tables.get("appearance"), role)
@@ -222,8 +222,8 @@ class SceneLoader:
         objects: list[Any] = []
         first: dict[str, int] = {}
         for k, item in enumerate(raw):
-            objects.append(self.table(Object, item, ("object", k)))
-            for inner, message in validate_object(item):
+            objects.append(self.table(object_table(), item, ("object", k)))
+            for inner, message in (*validate_object(item), *check_object(item)):
                 self.report(("object", k, *inner), message)
             self.check_unique_name("object", k, item, first)
             material = item.get("material")

@@ -19,7 +19,6 @@ from . import (
     joints,
     loads,
     objects,
-    pinned_parts,
     point_sets,
     probes,
     regions,
@@ -28,6 +27,7 @@ from . import (
     sections,
     shapes,
 )
+from .scene_feature import features, object_table
 
 _INTRO = """# The scene file
 
@@ -82,7 +82,7 @@ def scene_reference() -> str:
         parts.append(_section(f'[material.NAME] kind = "{kind}"', material))
         if material.presets:
             parts.append(_presets(material.presets))
-    parts.append(_section("[[object]]", objects.Object))
+    parts.append(_section("[[object]]", object_table()))
     inner: dict[str, type[BaseModel]] = {
         "points": point_sets.Points,
         "shape": shapes.Shape,
@@ -96,7 +96,7 @@ def scene_reference() -> str:
         "rotation": objects.Rotation,
         "velocity_mode": objects.VelocityMode,
         "volume_fraction_profile": objects.FractionProfile,
-        "pinned": pinned_parts.PinnedPart,
+        **{title: table for feature in features() for title, table in feature.sections.items()},
         "motion": rigid_motion.Motion,
         "motion keyframes": rigid_motion.Keyframe,
     }
@@ -122,7 +122,8 @@ def _section(title: str, table: type[BaseModel]) -> str:
     """Return the section of one table."""
     description = " ".join((table.__doc__ or "").split())
     rows = ["| key | unit | default | allowed | meaning |", "|---|---|---|---|---|"]
-    inherited = shapes.Shape.model_fields if table is pinned_parts.PinnedPart else {}
+    is_part = any(table in feature.sections.values() for feature in features())
+    inherited = shapes.Shape.model_fields if is_part and issubclass(table, shapes.Shape) else {}
     for name, field in table.model_fields.items():
         if name in inherited:  # its section has it
             continue

@@ -16,13 +16,13 @@ from vgmpi.runtime.config.schema import (
     Share,
     StrictModel,
     Switch,
+    as_list,
 )
 from vgmpi.runtime.message_text import did_you_mean
 
 from .captures import Frame, Select, validate_select
 from .initial_fields import FractionProfile, Spin, Velocity, VelocityMode
 from .keyframes import Time
-from .pinned_parts import PinnedPart, validate_pinned
 from .point_sets import Points, as_table, validate_points
 from .regions import Region, validate_regions
 from .rigid_motion import Motion, validate_motion
@@ -77,10 +77,6 @@ class Rotation(StrictModel):
     """right-handed angle"""
 
 
-def _listed(value: Any) -> Any:
-    return [value] if isinstance(value, dict) else value
-
-
 class Object(StrictModel):
     """Object of the scene: exactly one of gaussians, mesh, shape, points."""
 
@@ -90,7 +86,7 @@ class Object(StrictModel):
     """body: has mass and moves. scenery: rendered only, or a collider"""
     material: str | None = None
     """name of a [material.*] table; required for a body, absent for scenery"""
-    region: Annotated[tuple[Region, ...] | None, BeforeValidator(_listed)] = None
+    region: Annotated[tuple[Region, ...] | None, BeforeValidator(as_list)] = None
     """parts of another material of the same kind, a list of tables: [[object.region]]"""
     gaussians: str | None = None
     """a Gaussian file (.ply .splat .spz .sog .glb .gltf .ksplat), relative to the scene's folder"""
@@ -124,7 +120,7 @@ class Object(StrictModel):
     """scale the object to this extent along y (before `rotation`)"""
     scale: Annotated[float, Quantity("", gt=0)] | None = None
     """linear scale from the file's units to meters; default 1"""
-    rotation: Annotated[tuple[Rotation, ...], BeforeValidator(_listed)] = ()
+    rotation: Annotated[tuple[Rotation, ...], BeforeValidator(as_list)] = ()
     """{ axis, angle } or a list of them, applied in order"""
     position: Point | None = None
     """position of the center of its base: center of the extent in x and y, lowest z"""
@@ -135,7 +131,7 @@ class Object(StrictModel):
     """velocity at the start"""
     angular_velocity: Spin = (0.0, 0.0, 0.0)
     """angular velocity at the start, about the center of mass"""
-    velocity_mode: Annotated[tuple[VelocityMode, ...], BeforeValidator(_listed)] = ()
+    velocity_mode: Annotated[tuple[VelocityMode, ...], BeforeValidator(as_list)] = ()
     """waves of velocity at the start, besides `velocity` and `angular_velocity`:
     { amplitude, wave_vector, phase_angle } or a list of them"""
     volume_fraction: Annotated[float, Quantity("", gt=0, le=1)] = 1.0
@@ -219,10 +215,6 @@ class Object(StrictModel):
     restitution: Annotated[float, Quantity("", ge=0, le=1)] | None = None
     """rigid bodies only: speed after over speed before a collision with another rigid body, a
     collider or a wall; default 0"""
-
-    pinned: Annotated[tuple[PinnedPart, ...], BeforeValidator(_listed)] = ()
-    """bodies of solids only: a part that something holds, { box, to } for example, or a list of
-    them. The part does not deform and moves with what holds it; the rest is attached to it"""
 
     _free_body: FreeBody | None = PrivateAttr(None)  # set by scene/rigid_objects.py
 
@@ -338,8 +330,8 @@ def validate_object(raw: dict) -> list[tuple[tuple, str]]:
     excluded = {path for path, _ in rigid}  # each key has one line
     errors = [error for error in errors if error[0] not in excluded] + rigid
     errors += [error for error in validate_regions(raw) if error[0] not in excluded]
-    errors += validate_slip_length(raw, scenery) + validate_pinned(raw, scenery)
-    errors += validate_thin(raw, scenery) + validate_points(raw, scenery)
+    errors += validate_slip_length(raw, scenery) + validate_thin(raw, scenery)
+    errors += validate_points(raw, scenery)
     return errors + ([] if scenery else _validate_prescribed(raw))
 
 

@@ -10,6 +10,7 @@ from vgmpi.runtime.config.schema import Length, Point, Quantity, StrictModel
 from vgmpi.runtime.message_text import did_you_mean
 
 from .objects import Object, checked_name, validate_body_name, validate_exactly_one
+from .scene_feature import features
 
 KINDS = ("pressure", "surface_height", "velocity", "object", "wall", "collider", "joint")
 WALL_NAMES = ("west", "east", "south", "north", "bottom", "top")
@@ -155,7 +156,7 @@ def collider_names(objects: list[Object | None]) -> list[str] | None:
 
 def _is_rigid(obj: Object) -> bool:
     """Return whether nothing deflects it."""
-    return obj.collider or obj.driven or any(part.to == "world" for part in obj.pinned)
+    return obj.collider or obj.driven or any(each.has_force(obj) for each in features())
 
 
 def _validate_collider_name(
@@ -165,9 +166,10 @@ def _validate_collider_name(
     if name is None or role is None or colliders is None or name in colliders:
         return ""
     if name in role:
+        sources = "".join(f", or {each.force_source}" for each in features() if each.force_source)
         return (
             f"'{name}' is no collider: scenery with collider = true is, and a body with motion or"
-            " release_time, or one that is pinned to the world"
+            f" release_time{sources}"
         )
     valid = f"known: {', '.join(colliders)}" if colliders else "there is none"
     return f"there is no collider '{name}'{did_you_mean(name, colliders)}; {valid}"

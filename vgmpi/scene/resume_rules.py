@@ -8,6 +8,7 @@ from pydantic import BaseModel
 from vgmpi.runtime.config.schema import ChangeableOnResume
 
 from .scene import Scene
+from .scene_feature import features
 from .sections import SECTIONS, TopLevelKeys
 
 # Lists whose items may be added or removed; an item that stays must not change.
@@ -36,7 +37,7 @@ PARTICLE_KEYS = frozenset(
     "region gaussians mesh shape frame select render_model up height width depth scale rotation"
     " position origin velocity angular_velocity velocity_mode volume_fraction"
     " volume_fraction_profile initial_pressure subtract particles_per_cell fill prune prune_scale"
-    " passive_gaussians color opacity pinned".split()
+    " passive_gaussians color opacity".split()
 )
 
 
@@ -52,9 +53,10 @@ def changes_without_effect(scene: Scene, differences: list[tuple[tuple, str]]) -
         differences: Changes from `forbidden_changes`.
     """
     wrong = []
+    particle_keys = PARTICLE_KEYS.union(*(each.object_keys.model_fields for each in features()))
     for path, message in differences:
         of_body = path[0] == "object" and len(path) > 2 and scene.object[path[1]].role == "body"
-        if (of_body and path[2] in PARTICLE_KEYS) or path[0] == "seed":
+        if (of_body and path[2] in particle_keys) or path[0] == "seed":
             reason = "the particles are those of the run so far, a new run makes others"
             wrong.append((path, f"{message}: {reason}"))
     return wrong

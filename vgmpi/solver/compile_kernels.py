@@ -168,7 +168,7 @@ def _run_all(plan: Plan, calls: list[tuple] | None = None) -> None:
         group_of = list(plan.group_of)
         for body in plan.driven:
             for k in body.things:
-                group_of[k] = body.joins
+                group_of[k] = body.group_after_release
         _run(replace(plan, group_of=tuple(group_of)), calls)
 
 
@@ -176,7 +176,7 @@ def _run(plan: Plan, calls: list[tuple] | None) -> None:
     """Run all kernels of a plan once, or append those of the step to `calls`."""
     middle = 0.5 * np.array(plan.cells) * plan.dx
     owners = np.array([k for k, g in enumerate(plan.group_of) if g >= 0 and plan.count[k]], int)
-    simulation = Simulation(replace(plan, sources=(), sinks=(), pins=()), SerialCommunicator())
+    simulation = Simulation(replace(plan, sources=(), sinks=(), features=()), SerialCommunicator())
     if calls is not None:
         vars(simulation.engine)["call_if_rows"] = lambda key, *call: calls.append(call)
     n = len(owners)

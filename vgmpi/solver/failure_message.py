@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 
 from vgmpi.kernels.kernel_arguments import J_MAX, J_MIN
+from vgmpi.kernels.step_records import StepReport
 from vgmpi.kernels.transfer import g2p
 from vgmpi.scene.sections import WALLS
-from vgmpi.solver.engines.engine_protocol import StepReport
 
 FAILURE_MESSAGES = {
     g2p.INVALID_VOLUME: f"its volume ratio J left {J_MIN:g} .. {J_MAX:g} or is not a number",
@@ -30,7 +30,7 @@ def failure_message(simulation: Any, report: StepReport) -> str:
         report: Report of the step on this rank.
     """
     ranks, plan = simulation.ranks, simulation.plan
-    rows = ranks.all_rows(np.array(report.wrong, np.int64).reshape(-1, 2))
+    rows = ranks.all_rows(np.array(report.failures, np.int64).reshape(-1, 2))
     when = f"step {simulation.step}, time {simulation.time:.6g} s"
     if len(rows):
         worst, reason = rows[np.argmin(rows[:, 0])]
@@ -41,10 +41,11 @@ def failure_message(simulation: Any, report: StepReport) -> str:
             message = _way_out(simulation, worst) or message
         return f"object {{{owner}}}, particle {worst}, {when}: {message}"
     fields = simulation.needs.layers
-    local = [(*over.block, over.phase, fields.index(over.layer)) for over in report.beyond]
+    local = [(*over.block, over.phase, fields.index(over.field)) for over in report.overflows]
     rows = ranks.all_rows(np.array(local, np.int64).reshape(-1, 5))
-    if not len(rows):  # all ranks hold the same bodies
-        return f"object {simulation.bodies.departed}, {when}: {FAILURE_MESSAGES[g2p.OUT_OF_DOMAIN]}"
+    if not len(rows):  # equal on all ranks
+        departed = next(filter(None, (each.failure() for each in simulation.features.values())))
+        return f"object {departed}, {when}: {FAILURE_MESSAGES[g2p.OUT_OF_DOMAIN]}"
     *block, phase, field = min(map(tuple, rows.tolist()))
     spot = ", ".join(f"{(4 * b + 0.5) * plan.dx:.4g}" for b in block)
     name = FIELD_NAMES[fields[field].split()[0]]

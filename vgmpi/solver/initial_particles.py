@@ -6,10 +6,11 @@ import logging
 import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from vgmpi import gaussians
+from vgmpi import features, gaussians
 from vgmpi import preprocess as preparation
 from vgmpi.io import checkpoint, file_layout, hdf5_writer, initial_state
 from vgmpi.io.run_reader import RunError, opened, read_gaussians
@@ -24,9 +25,9 @@ from vgmpi.preprocess.initial_conditions import closed_box_tensions, liquid_weig
 from vgmpi.preprocess.load_targets import resolve_loads
 from vgmpi.preprocess.meshes import triangle_mesh
 from vgmpi.preprocess.motion_checks import extent, motion_steps
-from vgmpi.preprocess.pinned_regions import PinnedRegion, resolve_pinned_parts
 from vgmpi.preprocess.setting_checks import holding_walls
 from vgmpi.scene.scene import Scene
+from vgmpi.scene.scene_feature import InitialParticles, prepare_features
 from vgmpi.solver.estimates.measure_proximity import surroundings
 from vgmpi.solver.estimates.measure_rigid_bodies import measure_rigid_bodies
 
@@ -49,7 +50,7 @@ class ParticleSummary:
     weights: tuple[float, ...] = ()  # [Pa] see plan.Plan
     tensions: tuple[float, ...] = ()  # [Pa] see plan.Plan
     rigid: RigidBodiesSummary = RigidBodiesSummary()
-    pinned: tuple[PinnedRegion, ...] = ()  # pinned parts of bodies
+    features: dict[str, Any] = field(default_factory=dict)  # prepared data of features, by name
     holding_walls: tuple[str, ...] = ()  # see plan.Plan
     # on rank 0: datasets to be written to gaussians.h5, None if the file holds them
     rows: dict | None = None
@@ -142,9 +143,9 @@ def _build_or_read(
             log.info("particles as prepared before: %s", path)
             particles, objects = (gaussians.x0, gaussians.vol0, gaussians.object), gaussians.objects
             loads = resolve_loads(scene, *particles, objects)
-            pinned = tuple(resolve_pinned_parts(scene, *particles, objects, []))
+            prepared, _ = prepare_features(scene, InitialParticles(*particles, objects), [])
             summary = _summary_of(scene, objects, gaussians, gaussians.x0, [], loads)
-            return replace(summary, pinned=pinned), {}
+            return replace(summary, features=prepared), {}
         except RunError as error:
             if resumed:
                 raise
@@ -210,7 +211,7 @@ def _report_unreadable(path: Path, resumed: bool) -> None:
 def known_of(scene: Scene, built) -> ParticleSummary:
     """Return the summary of the particles that `build_scene` made."""
     summary = _summary_of(scene, built.objects, built, built.x, built.colliders, built.loads)
-    return replace(summary, pinned=built.pinned)
+    return replace(summary, features=built.features)
 
 
 def _summary_of(scene, objects, particles, x, colliders, loads) -> ParticleSummary:
@@ -289,7 +290,7 @@ def plan_for(scene: Scene, summary: ParticleSummary) -> Plan:
     surface = [bool(entry.get("surface")) for entry in summary.objects]
     plan = make_plan(
         scene, summary.count, summary.volume, colliders, summary.center, summary.shades, surface,
-        summary.extents, summary.pinned,
+        summary.extents, summary.features,
     )  # fmt: skip
     steps = motion_steps(scene, summary.colliders, summary.extents)
     return replace(
@@ -315,7 +316,7 @@ def preparation_hash(scene: Scene) -> str:
             with open(path, "rb") as file:  # it may be of any size
                 while chunk := file.read(1 << 20):
                     hasher.update(chunk)
-    for folder in (*preparation.__path__, *gaussians.__path__):
+    for folder in (*preparation.__path__, *gaussians.__path__, *features.__path__):
         for path in sorted(Path(folder).rglob("*.py")):
             hasher.update(path.read_bytes())
     return hasher.hexdigest()

@@ -8,6 +8,7 @@ import numpy as np
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.runtime.process_limits import available_cores
 from vgmpi.scene.scene import Scene
+from vgmpi.scene.scene_feature import features
 
 from .engine_registry import CARD, ENGINES
 
@@ -32,7 +33,7 @@ class Options:
 # features that an engine lacks, by the scene's keys
 LACKS = {
     CARD: {
-        "rigid": "free rigid bodies", "joint": "joints", "pinned": "pinned parts",
+        "rigid": "free rigid bodies", "joint": "joints",
         "slip_length": "slip lengths", "thin": "thin walls", "pressure": "implicit pressure",
     },
     "numpy": {"pressure": "implicit pressure"},
@@ -69,12 +70,16 @@ def check(options: Options, ranks: SerialCommunicator) -> None:
 
 def check_engine(engine: str, scene: Scene) -> None:
     """Raise InvalidRunOptions, which names all of it, if a scene has what its engine lacks."""
-    lacks = LACKS.get(engine, {})
+    missing = [feature for feature in features() if engine in feature.missing_engines]
+    lacks = LACKS.get(engine, {}) | {
+        key: feature.title for feature in missing for key in feature.object_keys.model_fields
+    }
     paths: list[tuple] = [("joint", k) for k in range(len(scene.joint))]
     for k, obj in enumerate(scene.object):
         slips = obj.slip_length is not None
-        has = {"rigid": obj.rigid, "pinned": obj.pinned, "slip_length": slips, "thin": obj.thin}
+        has = {"rigid": obj.rigid, "slip_length": slips, "thin": obj.thin}
         paths += [("object", k, key) for key, value in has.items() if value]
+        paths += [("object", k, key) for feature in missing for key in feature.keys_of(obj)]
     if scene.accuracy.pressure == "implicit":
         paths.append(("accuracy", "pressure"))
     first: dict[str, str] = {}
@@ -83,8 +88,8 @@ def check_engine(engine: str, scene: Scene) -> None:
         if name in lacks:
             first.setdefault(lacks[name], scene.place(path))
     if first:
-        features = ", ".join(f"no {feature}: {place}" for feature, place in first.items())
-        raise InvalidRunOptions(f"engine {engine} has {features}; engine cpu has")
+        absent = ", ".join(f"no {title}: {place}" for title, place in first.items())
+        raise InvalidRunOptions(f"engine {engine} has {absent}; engine cpu has")
 
 
 def _find_card(options: Options, ranks: SerialCommunicator) -> None:

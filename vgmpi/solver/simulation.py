@@ -4,9 +4,19 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from vgmpi.kernels.kernel_arguments import MAX_CELLS_PER_STEP
+from vgmpi.features.active_feature import ActiveFeature, StartContext
+from vgmpi.features.particle_insertion import ParticleRows, insert_particles
+from vgmpi.features.start_features import start_features
 from vgmpi.kernels.rigid.moving_colliders import place_colliders
 from vgmpi.kernels.rigid.prescribed_motion import PrescribedBodies
+from vgmpi.kernels.step_records import (
+    UNKNOWN_MAXIMA,
+    AccumulatorOverflow,
+    ParticleBounds,
+    StepMaxima,
+    StepReport,
+    StepSpan,
+)
 from vgmpi.kernels.transfer import g2p
 from vgmpi.kernels.transfer.particle_shifting import MAX_SHIFT_CELLS
 from vgmpi.parallel import exchange_topology, migration
@@ -17,32 +27,12 @@ from vgmpi.parallel.halo_exchange import HaloExchange
 from vgmpi.parallel.load_balance import SHARES, RankPace
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.plan import Plan
-from vgmpi.solver.boundary.flow_accounting import Tally
-from vgmpi.solver.boundary.free_body_coupling import free_body_coupling
-from vgmpi.solver.boundary.inlets import Sources
-from vgmpi.solver.boundary.load_application import Pushes
-from vgmpi.solver.boundary.outlets import Sinks
-from vgmpi.solver.boundary.particle_insertion import ParticleRows, bounds_of_idle_group, insert
-from vgmpi.solver.boundary.pinned_coupling import make_pinned_parts
-from vgmpi.solver.boundary.release import Releases
-from vgmpi.solver.boundary.surface_coupling import make_couplings
-from vgmpi.solver.boundary.wall_sides import MAX_PUSH_CELLS, wall_sides
-from vgmpi.solver.diagnostics.reactions import Reactions
-from vgmpi.solver.engines.engine_protocol import (
-    UNKNOWN_MAXIMA,
-    AccumulatorOverflow,
-    Engine,
-    ParticleMaxima,
-    StepReport,
-)
+from vgmpi.solver.engines.engine_protocol import Engine
 from vgmpi.solver.engines.shift_tables import shift_constants
-from vgmpi.solver.steering.particle_changes import ParticleChanges
 
 from .engine_registry import engine_of
 from .failure_message import failure_message
 from .topology_requirements import needs
-
-MAXIMA_SLICE = [0, 3, 4, 5]  # indices of particle_insertion.bounds among a step's maxima
 
 
 class BlowUp(RuntimeError):
@@ -65,32 +55,21 @@ class Simulation:
         self.lattice = BlockLattice(plan.cells, plan.dx)
         # true if a collider has its own friction, is free, or its reaction is requested
         per_collider = len(plan.friction) > len(plan.phases) + 1 or plan.numbers_colliders
-        solids = place_colliders(list(colliders), self.lattice, plan.real, per_collider)
-        self.movers, self.solids = solids
-        self.pins = make_pinned_parts(plan, self.lattice, self.movers, len(colliders), threads)
-        self.driven = PrescribedBodies(plan, len(colliders)) if plan.driven else None
-        self.motions = [m for m in (self.movers, self.driven, self.pins) if m is not None]
-        rigid = self.solids, threads, self.driven
-        self.engine: Engine = engine_of(engine)(plan, self.lattice, *rigid)
-        self.engine.pins = self.pins
-        self.groups: list[ParticleGroup] = self.engine.groups
-        self.bodies = free_body_coupling(plan, self.movers, self.engine, ranks, self.pins)
-        self.couplings = make_couplings(
-            plan, self.lattice, self.solids, self.engine, ranks, self.pins, self.bodies
+        placed = place_colliders(list(colliders), self.lattice, plan.real, per_collider)
+        movers, self.collider_nodes = placed
+        prescribed = PrescribedBodies(plan, len(colliders)) if plan.driven else None
+        self.engine: Engine = engine_of(engine)(
+            plan, self.lattice, self.collider_nodes, threads, prescribed
         )
-        self.reactions = Reactions(plan, colliders, ranks) if plan.feels else None
-        if self.reactions is not None:
-            rows = len(self.reactions.totals)
-            self.engine.enable_reactions(rows, self.reactions.quanta, ranks.rank)
-        self.loads = Pushes(list(loads), plan, ranks) if loads else None
-        self.changes: ParticleChanges | None = None  # by a program, between steps
-        tally = self.flow_accounting = Tally(plan) if plan.is_open_system else None
-        self.sides = wall_sides(plan, self.movers, self.groups, self.flow_accounting)
-        self.sources = Sources(plan, ranks) if plan.sources else None
-        self.sinks = Sinks(plan, tally) if tally is not None and plan.sinks else None
-        releases = plan.has_releases
-        self.releases = Releases(plan, self.flow_accounting, self.engine) if releases else None
-        self.correction_origin_step = 0  # step of the last release: corrections are counted from it
+        self.groups: list[ParticleGroup] = self.engine.groups
+        self.features: dict[str, ActiveFeature] = {}
+        context = StartContext(
+            plan, self.lattice, ranks, self.groups, colliders, self.collider_nodes, movers,
+            prescribed, loads, threads, len(colliders) + len(plan.driven), self.features,
+            self.engine, self.insert, self.find_particles,
+        )  # fmt: skip
+        start_features(context, self.features)
+        self.engine.features = self.features
         self.gravity = np.array(plan.gravity)
         self.needs = needs(plan)
         self.tables: exchange_topology.ExchangeTopology
@@ -101,13 +80,14 @@ class Simulation:
         self.time, self.step, self.rate, self.particle_maxima = 0.0, 0, 0.0, UNKNOWN_MAXIMA
         # the next shift must leave particles in their patches
         margin = 1.2 * MAX_SHIFT_CELLS if plan.shift_interval else 0.0
-        margin += 1.2 * MAX_PUSH_CELLS if self.sides is not None else 0.0
+        margin += sum(1.2 * feature.margin for feature in self.features.values())
         self.max_stray = g2p.MAX_STRAY_CELLS - margin
         self.sorts = self.sorted_at = 0
         self.sent = 0  # [bytes] sent to neighbors by this rank
         self.moved = 0  # particles that left this rank for another
-        self.reduction_buffer = np.zeros(12)
         self.clock: Callable[[str], None] | None = None  # marks the end of a stage
+
+    # ---- particles -------------------------------------------------------------------------------
 
     def put(
         self, x: np.ndarray, v: np.ndarray, volume: np.ndarray, ids: np.ndarray,
@@ -135,34 +115,26 @@ class Simulation:
         """
         if surface is None and any(group.surface for group in self.plan.groups):
             raise ValueError("the plan has contact of solids: their surfaces are asked for")
-        rows = ParticleRows(x, v, volume, ids, owner, theta, C, sh, surface)
-        if self.plan.sources:
-            rows = rows.select(ids < self.plan.initial_particle_count)
-        maxima = self.ranks.max(self._insert([rows, *self._spawned(None)]))
-        if self.sources is not None:
-            maxima = self.sources.merge_bounds(maxima, self.time)
-        self.rate = float(maxima[0])
-        self.particle_maxima = ParticleMaxima.of(
-            maxima[1:], self.rate, 1.0 / (self.rate or self.plan.rate)
-        )
-        if self.reactions is not None:
-            self.reactions.set_mass_bound(self.groups)
+        rows = [ParticleRows(x, v, volume, ids, owner, theta, C, sh, surface)]
+        for feature in self.features.values():
+            rows = feature.initial_particles(rows)
+        bounds = ParticleBounds(*self.ranks.max(np.array(self.insert(rows))).tolist())
+        for feature in self.features.values():
+            bounds = feature.begin_run(bounds)
+        self.rate = bounds.rate
+        self.particle_maxima = bounds.maxima(1.0 / (self.rate or self.plan.rate))
         self.sort()
         self.moved = 0  # finding the first owners is no migration
 
-    def _spawned(self, before: float | None) -> list[ParticleRows]:
-        """Return what inlets spawn here after `before` [s] (None: at the start)."""
-        return [] if self.sources is None else self.sources.spawn(before, self.time)
-
-    def _insert(self, chunks: list[ParticleRows]) -> np.ndarray:
-        """Insert particles and return particle_insertion.bounds, (4,). A sort must follow."""
-        limits = np.zeros(4)
+    def insert(self, chunks: list[ParticleRows]) -> ParticleBounds:
+        """Insert particles on this rank and return their bounds. A sort must follow."""
+        bounds, features = ParticleBounds(), self.features.values()
         for rows in chunks:
-            added = insert(self.plan, self.lattice, self.groups, rows, self.sides)
-            limits = np.maximum(limits, added)
-            if self.flow_accounting is not None:
-                self.flow_accounting.add(rows)
-        return limits
+            added = insert_particles(self.plan, self.lattice, self.groups, rows, features)
+            bounds = bounds.merge(added)
+            for feature in features:
+                feature.count_inserted(rows)
+        return bounds
 
     def sort(self) -> None:
         """Sort all particles, rebalance the ranks if that pays, and set the directory."""
@@ -171,9 +143,8 @@ class Simulation:
             self.groups, self.ranks, self.cut, steps, self.pace.measure_work(self.groups, steps)
         )
         self.moved += departed
-        for mover in (self.movers, self.pins):
-            if mover is not None:
-                mover.stand(self.time)
+        for feature in self.features.values():
+            feature.place(self.time)
         self.set_directory(census)
         self.sorted_at = self.step
         self.sorts += 1
@@ -181,19 +152,19 @@ class Simulation:
     def set_directory(self, census: BlockDirectory) -> None:
         """Build the exchange tables for a directory, whose segments the groups already hold.
 
-        The old tables are reused if they are the same, also near colliders and pinned parts.
+        The old tables are reused if they are the same, also near features.
         """
+        features = self.features.values()
         unchanged = self.halo is not None and self.census.has_segments_of(census)
-        unchanged &= self.movers is None and (self.pins is None or not self.pins.moving)
+        unchanged &= all(feature.is_fixed for feature in features)
         self.census = census
         if not unchanged:
             self.tables = exchange_topology.build_topology(
-                census, self.lattice, self.ranks.rank, self.needs, self.solids, self.pins
+                census, self.lattice, self.ranks.rank, self.needs, self.collider_nodes, features
             )
-            self.couplings.set_tables(self.tables, census)
-            if self.movers is not None:
-                self.movers.take(self.tables.at[self.tables.solid >= 0])
-        self._set_segments(unchanged)
+            for feature in features:
+                feature.set_topology(self.tables, census)
+        self.find_particles(unchanged)
         if not unchanged:
             self.halo = self._exchange(self.halo, self.needs.step_layers)
             if self.plan.restores or self.plan.shift_interval:
@@ -201,13 +172,11 @@ class Simulation:
                     self.correction_halo, self.needs.timeless_layers
                 )
 
-    def _set_segments(self, unchanged: bool) -> None:
-        """Pass the segments to engine, loads and inlets; `unchanged` if the tables are the same."""
+    def find_particles(self, unchanged: bool = True) -> None:
+        """Tell engine and features of the segments; `unchanged` if the tables are the same."""
         self.engine.set_topology(self.tables, unchanged)
-        if self.loads is not None:
-            self.loads.find(self.groups)
-        if self.sources is not None:
-            self.sources.find(self.groups, self.time)
+        for feature in self.features.values():
+            feature.find_particles(self.time)
 
     def _exchange(self, before: HaloExchange | None, fields: Sequence[str]) -> HaloExchange:
         """Return the exchange of the fields by the present tables; the old one is closed."""
@@ -215,27 +184,34 @@ class Simulation:
             before.link.close()
         return HaloExchange(self.ranks, self.tables, self.engine.words, fields)
 
+    def object_of(self, ids: np.ndarray) -> np.ndarray:
+        """Return the object of each particle; ids of one object are consecutive."""
+        return np.searchsorted(np.array(self.plan.first_id), ids, side="right") - 1
+
     def poses(self) -> np.ndarray | None:
         """Return the poses of moving colliders, (m, 4, 4), start -> now [m]; None if none moves."""
-        return None if self.movers is None else self.movers.poses(self.time)
+        poses = (feature.collider_poses(self.time) for feature in self.features.values())
+        return next((pose for pose in poses if pose is not None), None)
 
     @property
     def load(self) -> np.ndarray:
         """Predicted work of each rank (ranks,) at the last sort, in steps of one fluid particle."""
         return self.census.load / SHARES
 
+    # ---- a step ----------------------------------------------------------------------------------
+
     def bound(self) -> float:
         """Return the largest stable time step [s], including impulsive loads within the step."""
         rate = max(self.rate, self.plan.rate)
-        if self.loads is not None:
-            speed = self.loads.impulsive_speed_ahead(self.groups, self.time, 1.0 / rate)
-            rate += speed / (min(self.plan.cfl, MAX_CELLS_PER_STEP) * self.plan.dx)
-        rate = rate if self.changes is None else self.changes.limit_rate(rate)
-        for mover in (self.movers, self.pins):
-            rate = rate if mover is None else mover.rate(self.time, rate)
-        if self.driven is not None:  # nothing else bounds a step while all bodies are prescribed
-            rate = self.driven.rate(self.time, max(rate, 1.0 / float(self.plan.times[-1])))
+        for feature in self.features.values():
+            rate = feature.limit_rate(self.time, rate)
         return 1.0 / rate
+
+    def next_event_time(self, goal: float) -> float:
+        """Return the time [s], at most `goal`, at which the time steps must land next."""
+        for feature in self.features.values():
+            goal = feature.next_event(self.time, goal)
+        return goal
 
     def advance(
         self, dt: float, requests: tuple[float, ...] = (), end: float | None = None
@@ -253,83 +229,46 @@ class Simulation:
         Raises:
             BlowUp: On all ranks, if a particle or a nodal sum failed in the step.
         """
-        mark, engine = self.clock or (lambda name: None), self.engine
-        end = self.time + dt if end is None else end
-        if self.reactions is not None:
-            self.reactions.begin(dt)
-        for motion in self.motions:
-            motion.begin_step(self.time, end, dt)
+        span = StepSpan(self.step + 1, self.time, self.time + dt if end is None else end, dt)
+        mark, engine, features = self.clock or (lambda name: None), self.engine, self.features
+        for feature in features.values():
+            feature.begin_step(span)  # motions from n to n + 1
         overflows = self._correct_transfers(dt)
-        pushed, gravity = self._apply_loads(end, dt), self.gravity
-        if self.plan.gravity_ramp_time or self.plan.gravity_keys:
-            gravity = self.plan.gravity_between(self.time, end)
-        engine.begin(dt, gravity, self.particle_maxima.fastest(self.plan, dt, pushed))
-        self._update_grid(self.halo)
-        self.couplings.apply(engine, dt, gravity)
+        speed = sum(feature.push_particles(span) for feature in features.values())
+        gravity = self._gravity_in(span)
+        engine.begin(dt, gravity, self.particle_maxima.fastest(self.plan, dt, speed))
+        self._update_grid(self.halo)  # x, v, C, state at n -> nodal velocities at n + 1
+        self._couple_nodes(span, gravity)
         report = engine.gather(self.step)  # v, C, x, state at n + 1
-        if self.reactions is not None:
-            self.reactions.add_step(engine.given(), self.movers, self.driven, self.pins)
-        report.beyond.extend(overflows)
+        report.overflows.extend(overflows)
         mark("g2p")
-        before, self.time = self.time, end
-        self.step += 1
-        report = self._update_open_boundaries(report)
-        maxima = self._reduce_step(report, requests)
+        self.time, self.step = span.end, span.number
+        for feature in features.values():
+            report = feature.end_step(span, report)
+        maxima = self._reduce(span, report, requests)
         mark("wait")
-        if maxima[2] or (self.bodies is not None and self.bodies.departed):
+        if maxima.has_failed or any(feature.failure() for feature in features.values()):
             raise BlowUp(failure_message(self, report))
-        if not maxima[0] and (self.flow_accounting is not None or self.driven is not None):
-            maxima[MAXIMA_SLICE] = bounds_of_idle_group(self.plan)
-            maxima[0] = 0.0 if self.flow_accounting is None else maxima[0]  # all is prescribed
-        if self.sources is not None:
-            maxima[MAXIMA_SLICE] = self.sources.merge_bounds(maxima[MAXIMA_SLICE], self.time)
-        released = self.releases is not None and self.releases.due(before, self.time)
-        if released:
-            maxima[MAXIMA_SLICE] = np.maximum(maxima[MAXIMA_SLICE], self._release_bodies(before))
-        self.rate = float(maxima[0])
-        self.particle_maxima = ParticleMaxima.of(maxima[3:6], self.rate, dt)
-        spawned = self.sources is not None and self.sources.due(before, self.time)
-        if spawned:
-            self._insert(self._spawned(before))
-        moved = any(m and m.left_safe_range(self.time) for m in (self.movers, self.pins))
-        moved |= self.sides is not None and self.sides.change(maxima[-1], self.time)
-        if maxima[1] >= self.max_stray or moved or spawned or released:
+        bounds = maxima.bounds
+        for feature in features.values():
+            bounds = feature.adjust_bounds(span, bounds)
+        self.rate, self.particle_maxima = bounds.rate, bounds.maxima(dt)
+        moved = [feature.needs_sort(span, maxima) for feature in features.values()]
+        if any(moved) or maxima.stray >= self.max_stray:
             self.sort()
             mark("sort")
-        return maxima[6 : 6 + len(requests)]
+        return maxima.requests
 
-    def _apply_loads(self, end: float, dt: float) -> float:
-        """Apply loads until `end` [s]; bound the speed added, also by motions [m/s]."""
-        pushed = 0.0 if self.changes is None else self.changes.apply_forces(dt)
-        if self.loads is not None:
-            pushed += self.loads.apply(self.groups, self.time, end, dt)
-        for motion in self.motions:
-            pushed += self.plan.dx * motion.travels(self.time, end) / dt
-        return pushed
-
-    def _release_bodies(self, before: float) -> np.ndarray:
-        """Release the bodies that are due after `before` [s]; return their bounds (4,)."""
-        assert self.releases is not None
-        self.correction_origin_step = self.step
-        return self.releases.release(self.groups, before, self.time, self.ranks)
-
-    def next_event_time(self, goal: float) -> float:
-        """Return the time [s], at most `goal`, at which the time steps must land next."""
-        return goal if self.releases is None else self.releases.next_landing(self.time, goal)
-
-    def _update_open_boundaries(self, report: StepReport) -> StepReport:
-        """Advect nozzle particles, and remove particles in outlets."""
-        if self.sources is not None:
-            report = self.sources.advect_nozzle(report, self.time)
-        if self.sinks is not None and self.sinks.remove_particles(
-            self.groups, self.step, self.time
-        ):
-            self._set_segments(unchanged=True)
-        return report
+    def _gravity_in(self, span: StepSpan) -> np.ndarray:
+        """Return the mean gravity in a step, shape (3,) [m/s2]."""
+        if self.plan.gravity_ramp_time or self.plan.gravity_keys:
+            return self.plan.gravity_between(span.start, span.end)
+        return self.gravity
 
     def _correct_transfers(self, dt: float) -> list[AccumulatorOverflow]:
         """Restore motion and shift particles before a step of dt [s] in which they are due."""
-        steps = self.step - self.correction_origin_step
+        origins = (feature.correction_origin for feature in self.features.values())
+        steps = self.step - max(origins, default=0)
         shifts, restores = (
             bool(interval) and steps > 0 and steps % interval == 0
             for interval in (self.plan.shift_interval, self.plan.restores)
@@ -355,8 +294,8 @@ class Simulation:
         self.engine.begin(0.0, np.zeros(3), fastest, shift)
         self._update_grid(self.correction_halo)
         overflows = self.engine.restore(self.plan.restores if restores else 0)
-        if self.sources is not None:
-            self.sources.reset_nozzle(self.time)
+        for feature in self.features.values():
+            feature.end_correction(self.time)
         if self.clock:
             self.clock("g2p")
         return overflows
@@ -385,15 +324,28 @@ class Simulation:
         mark("grid")
         self.sent += halo.bytes_sent
 
-    def _reduce_step(self, report: StepReport, requests: tuple[float, ...]) -> np.ndarray:
-        """Reduce over all ranks: rate, farthest particle, failure flag, maxima, requests, sides."""
-        if self.sides is not None:
-            requests = *requests, self.sides.push_particles(self.step, self.time)
-        buffer = self.reduction_buffer[: 6 + len(requests)]
-        buffer[:3] = report.rate, report.far, bool(report.wrong or report.beyond)
-        buffer[3:6], buffer[6:] = report.reach, requests
-        return self.ranks.max(buffer)
+    def _couple_nodes(self, span: StepSpan, gravity: np.ndarray) -> None:
+        """Let features change the nodal velocities at n + 1."""
+        coupling = [feature for feature in self.features.values() if feature.couples_nodes]
+        if not coupling:
+            return
+        nodes = self.engine.begin_coupling()
+        for feature in coupling:
+            feature.couple_nodes(nodes, span, gravity)
+        self.engine.end_coupling()
+        for feature in coupling:
+            feature.end_coupling(span)
 
-    def object_of(self, ids: np.ndarray) -> np.ndarray:
-        """Return the object of each particle; ids of one object are consecutive."""
-        return np.searchsorted(np.array(self.plan.first_id), ids, side="right") - 1
+    def _reduce(
+        self, span: StepSpan, report: StepReport, requests: tuple[float, ...]
+    ) -> StepMaxima:
+        """Return the largest results of all ranks."""
+        asking = {name: each for name, each in self.features.items() if each.has_request}
+        own = [feature.request(span) for feature in asking.values()]
+        has_failed = bool(report.failures or report.overflows)
+        row = [report.rate, *report.bounds, report.stray, has_failed, *requests, *own]
+        rate, speed, turn, stress, stray, failed, *others = self.ranks.max(np.array(row, float))
+        count = len(requests)
+        bounds = ParticleBounds(float(rate), float(speed), float(turn), float(stress))
+        of_features = dict(zip(asking, others[count:], strict=True))
+        return StepMaxima(bounds, stray, bool(failed), np.array(others[:count]), of_features)

@@ -27,7 +27,6 @@ def needs(plan: Plan) -> exchange_topology.TopologyRequirements:
         np.array([phase.fills_by_volume for phase in plan.phases]),
         fields_near_colliders(plan),
         is_summed_at_surfaces(plan),
-        np.isin(np.arange(len(plan.phases)), [part.phase for part in plan.pins]),
         plan.implicit_pressure,
         np.array(() if plan.slip_of_solids is None else plan.slip_of_solids.phases, bool),
     )

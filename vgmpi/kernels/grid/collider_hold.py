@@ -59,7 +59,7 @@ def pushed_phase(block, row, nb, phase_of, phases, solids, offsets, dx, normal):
     flows = not phases.surface[phase_of[nb]]
     moves = row >= 0 and len(solids.moves) > 0
     first = block.n0 - 1 if flows and moves else block.n0
-    last = block.n1 if flows and len(solids.ways.driven) > 0 else block.n0
+    last = block.n1 if flows and len(solids.motions.driven) > 0 else block.n0
     return PushedPhase(row, phase_of[nb], first, last, block.n0, phase_of, offsets, dx, normal)
 
 
@@ -115,7 +115,7 @@ def _find_body(pushed, solids, phases, nb, node, nodes):
     n, p = pushed.normal, pushed.phase_of[nb]
     o = 256 * nb + 4 * node
     mass = nodes[o + 3]
-    if not (solids.ways.driven[p] and phases.surface[p]):
+    if not (solids.motions.driven[p] and phases.surface[p]):
         return False
     if not mass > CONTACT_MASS_FLOOR * phases.least[p]:
         return False
@@ -164,5 +164,5 @@ def give_back_push(pushed, solids, source, node, push, along, nodes, v, reaction
             set_collider(reaction, number, pushed.normal)
             add_contact_reaction(reaction, before, after, mass, speed, 0, 0)
         else:
-            row = solids.ways.row[pushed.phase_of[source]]
+            row = solids.motions.row[pushed.phase_of[source]]
             add_prescribed_reaction(reaction, row, before, after, mass, speed, 0, 0)

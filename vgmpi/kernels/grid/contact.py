@@ -56,7 +56,7 @@ def apply_contact(block, tables, solid, velocities, offsets, shear, solids, wall
     Args:
         block, solid: Context of the block; its row in solids, or -1. Fields are in/out pointers.
     """
-    motions, pushes = solids.ways, block.at_wall and _may_push(walls)
+    motions, pushes = solids.motions, block.at_wall and _may_push(walls)
     sync_threads()
     for node in strided_range(64):
         active = _active(block, node, velocities, tables.phase, phases.least, work.here)
@@ -163,9 +163,9 @@ def _driven(motions, phase):
 
 
 @always_inline
-def _is_pinned(motions, nb, site):
-    """Return whether a node of a phase is next to a pinned part."""
-    return len(motions.pinned) > 0 and motions.pinned[nb, site.node] != 0
+def _is_reserved(motions, nb, site):
+    """Return whether something else than colliders attaches a node of a phase."""
+    return len(motions.reserved) > 0 and motions.reserved[nb, site.node] != 0
 
 
 @always_inline
@@ -264,7 +264,9 @@ def _add_rigid_pairs(
         is_resolved, mass, n = phases.surface[ph], work.mass[q], work.normals[pairs]
         if not ((a == COLLIDER_ROW or phases.at_walls[ph]) and has_surface(mine, is_resolved)):
             continue
-        if _driven(motions, ph) or (a == COLLIDER_ROW and _is_pinned(motions, work.here[q], site)):
+        if _driven(motions, ph) or (
+            a == COLLIDER_ROW and _is_reserved(motions, work.here[q], site)
+        ):
             continue
         for c in range(3):
             n[c] = surface[c]

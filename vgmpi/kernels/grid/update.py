@@ -38,7 +38,7 @@ class RigidBoundaries(NamedTuple):
     nodes: np.ndarray  # (n, 64, 4) outward normal and distance [m] of the nearest collider
     moves: np.ndarray  # (n, 64, 3) [m/s] its velocity; (0, 64, 3) if all are at rest
     whose: np.ndarray  # (n, 64) its number; (0, 64) if all have the same friction
-    ways: PrescribedSteps  # prescribed motion by phase, empty if there is none
+    motions: PrescribedSteps  # prescribed motion by phase, empty if there is none
     free: np.ndarray  # (colliders,) bool: a free body, which couples after all others; or empty
 
 
@@ -97,7 +97,7 @@ def update(blocks, tables, summed, shear, stress, rules, walls, phases, solids, 
                 finalize_node_block(nb, rows, shears, report, 2 if stress is None else 3)
             momentum_to_velocity(nb, nodes, push, NODE_MASS_FLOOR * cell_mass[phase_of[nb]])
         block = _context(b, n0, n1, tables, last)
-        set_prescribed_velocity(block, nodes, phase_of, solids.ways, step.dx)
+        set_prescribed_velocity(block, nodes, phase_of, solids.motions, step.dx)
         if stress is not None:
             noted = has_impulses and stress.noted
             if noted:
@@ -150,7 +150,7 @@ def _stop_at_walls(block, solid, velocities, offsets, walls, phase, phases, soli
     if block.at_wall:
         sync_threads()
     for nb in range(block.n0, block.n1 if block.at_wall else block.n0):
-        if len(solids.ways.driven) > 0 and solids.ways.driven[phase[nb]]:
+        if len(solids.motions.driven) > 0 and solids.motions.driven[phase[nb]]:
             continue  # the motion of this phase is prescribed
         kinds = walls.kinds if phases.liquid[phase[nb]] else walls.kinds_for_solids
         if phases.at_walls[phase[nb]]:

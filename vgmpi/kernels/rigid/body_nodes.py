@@ -79,7 +79,7 @@ class NodesNearBodies(NamedTuple):
     velocities: np.ndarray  # (node blocks, 256) velocities and masses
     offsets: np.ndarray  # (node blocks, 256) values of the field of offsets, or without rows
     fields: tuple  # velocity gradients and pressure, four Sums
-    pinned: np.ndarray  # (node blocks, 64) 1 at nodes that a free body holds, or without rows
+    reserved: np.ndarray  # (node blocks, 64) 1 at nodes that features attach, or without rows
 
 
 class CoupledBodies(NamedTuple):
@@ -283,7 +283,7 @@ def find_contacts(nodes, tables, bodies, phases, walls, dt, dx, out, count):
                     continue
             for nb in range(tables.first[b], tables.first[b + 1]):
                 p = tables.phase[nb]
-                if len(nodes.pinned) > 0 and nodes.pinned[nb, node] != 0:
+                if len(nodes.reserved) > 0 and nodes.reserved[nb, node] != 0:
                     continue
                 if not touches_surface(nodes, phases, p, nb, node, n, d, dx):
                     continue

@@ -40,7 +40,7 @@ def _approach(contacts, q, v, u):
 @always_inline
 def _sticking_fraction(contacts, q, u, normal_part):
     """Return the fraction of the slip that friction removes, -1 where the surfaces separate."""
-    if contacts.friction[q] < 0.0:  # a pinned part: both signs, all directions
+    if contacts.friction[q] < 0.0:  # an attached node: both signs, all directions
         return 1.0
     if not normal_part > 0.0:
         return -1.0

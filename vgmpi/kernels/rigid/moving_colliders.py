@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from vgmpi.kernels.step_records import StepSpan
 from vgmpi.parallel.block_lattice import BLOCK_EDGE, BlockLattice
 from vgmpi.scene.rigid_motion import Trajectories
 
@@ -105,27 +106,22 @@ class MovingColliders:
         if isinstance(self.table, SampledShells):
             self.table = self.table._replace(faces=np.zeros((len(blocks), 64, 2, 4)))
 
-    def stand(self, time: float) -> None:
+    def place(self, time: float) -> None:
         """Place the colliders where they are at a time [s]."""
         self.now, table = time, self.table
         table.rotation[self.moving], table.move[self.moving] = self.courses.poses(time)
         if self.free is not None:
             self.free.place(table)
 
-    def begin_step(self, time: float, end: float, dt: float) -> None:
-        """Place the colliders at the beginning of a step and compute their motion at the nodes.
-
-        Args:
-            time: Beginning of the step [s].
-            end: End of the step [s].
-            dt: Length of the step [s].
-        """
-        self.stand(time)
+    def begin_step(self, span: StepSpan) -> None:
+        """Place the colliders at the beginning of a step and compute their motion at the nodes."""
+        self.place(span.start)
         table = self.table
-        table.rotation_end[self.moving], table.move_end[self.moving] = self.courses.poses(end)
+        rotation, move = self.courses.poses(span.end)
+        table.rotation_end[self.moving], table.move_end[self.moving] = rotation, move
         evaluate_colliders(
-            self.blocks, *self.nearby, table, self.is_free, dt, self.dx, self.nodes, self.moves,
-            self.whose,
+            self.blocks, *self.nearby, table, self.is_free, span.dt, self.dx, self.nodes,
+            self.moves, self.whose,
         )  # fmt: skip
 
     def poses(self, time: float) -> np.ndarray | None:
@@ -148,7 +144,7 @@ class MovingColliders:
             travel = max(travel, (t1 - t0) * self.free.speeds().max())
         return float(travel) / self.dx
 
-    def rate(self, time: float, rate: float) -> float:
+    def limit_rate(self, time: float, rate: float) -> float:
         """Return 1 / dt [1/s], at least `rate`, of a step in which no collider moves too far."""
         return limit_rate_by_motion(self.travels, time, rate)
 

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vgmpi.kernels.step_records import StepSpan
 from vgmpi.planning.plan import Plan
 from vgmpi.scene.rigid_motion import Trajectories
 
@@ -21,7 +22,7 @@ EFFECTIVE_MASS_FACTOR = (
 class PrescribedSteps(NamedTuple):
     """Prescribed displacement of a point x in a step: (turn (x - about) + shift) dt, by phase.
 
-    Nodes next to pinned parts of bodies are marked: colliders do not touch these bodies there.
+    Nodes that something else attaches are marked: colliders do not touch these bodies there.
     """
 
     driven: np.ndarray  # (phases,) bool, True if the motion is prescribed
@@ -29,7 +30,7 @@ class PrescribedSteps(NamedTuple):
     about: np.ndarray  # (phases, 3) [m] center of rotation
     turn: np.ndarray  # (phases, 3, 3) [1/s] rotation minus identity, per time
     shift: np.ndarray  # (phases, 3) [m/s] translation per time
-    pinned: np.ndarray = np.zeros((0, 64), np.uint8)  # (node blocks, 64), or without rows
+    reserved: np.ndarray = np.zeros((0, 64), np.uint8)  # (node blocks, 64), or without rows
 
 
 def _none(phases: int) -> PrescribedSteps:
@@ -63,11 +64,11 @@ class PrescribedBodies:
     def __init__(self, plan: Plan, colliders: int):
         self.dx, phases = plan.dx, len(plan.phases)
         phase_of = [plan.groups[body.group].phase for body in plan.driven]
-        self.ways = _none(phases)
-        self.ways.driven[phase_of] = True
-        self.ways.row[phase_of] = colliders + np.arange(len(phase_of))
+        self.motions = _none(phases)
+        self.motions.driven[phase_of] = True
+        self.motions.row[phase_of] = colliders + np.arange(len(phase_of))
         for p, body in zip(phase_of, plan.driven, strict=True):
-            self.ways.about[p] = body.about
+            self.motions.about[p] = body.about
         plans = plan.driven
         moving = [
             (p, body) for p, body in zip(phase_of, plans, strict=True) if body.course is not None
@@ -79,7 +80,7 @@ class PrescribedBodies:
         self.ends = np.array([body.ends for _, body in moving])  # [s] end of the prescribed motion
 
     def row_of_group(self, group: int, phase: int) -> int:
-        """Return the row of a group's motion in `ways`, -1 if it is at rest.
+        """Return the row of a group's motion in `motions`, -1 if it is at rest.
 
         Args:
             group: Number of the group, unused.
@@ -87,24 +88,18 @@ class PrescribedBodies:
         """
         return phase if phase in self.phases else -1
 
-    def begin_step(self, time: float, end: float, dt: float) -> None:
-        """Set the displacements of a step.
-
-        Args:
-            time: Beginning of the step [s].
-            end: End of the step [s].
-            dt: Length of the step [s].
-        """
+    def begin_step(self, span: StepSpan) -> None:
+        """Set the displacements of a step."""
         if self.courses is None:
             return
-        before, move = self.courses.poses(time)
-        after, move_end = self.courses.poses(end)
-        steps, p = self.ways, self.phases
-        steps.turn[p] = turn_rates(before, after, dt)
+        before, move = self.courses.poses(span.start)
+        after, move_end = self.courses.poses(span.end)
+        steps, p = self.motions, self.phases
+        steps.turn[p] = turn_rates(before, after, span.dt)
         steps.about[p] = self.courses.about + move
-        steps.shift[p] = (move_end - move) / dt
+        steps.shift[p] = (move_end - move) / span.dt
 
-    def rate(self, time: float, rate: float) -> float:
+    def limit_rate(self, time: float, rate: float) -> float:
         """Return 1 / dt [1/s], at least `rate`, of a step in which no body moves too far."""
         return rate if self.courses is None else limit_rate_by_motion(self.travels, time, rate)
 

@@ -5,6 +5,7 @@ import numpy as np
 from vgmpi.kernels.particle_records import AFFINE
 from vgmpi.kernels.simd import material_dispatch as _laws  # noqa: F401  (makes the tensors' functions callable)
 from vgmpi.kernels.simd.cooperative import strided_range, sync_threads
+from vgmpi.kernels.step_records import GRADIENT2, SPEED, STRAY
 from vgmpi.kernels.transfer.g2p import OUT_OF_DOMAIN, keep_lowest_id
 from vgmpi.materials.tensor_math.tensor import update_deformation_gradient
 from vgmpi.runtime.jit import device_function, kernel
@@ -111,9 +112,9 @@ def record_prescribed_bounds(report, distance, speed, squared):
         speed: Largest speed along an axis [cells/s].
         squared: Largest squared norm of the velocity gradient [1/s2].
     """
-    report[1] = max(report[1], distance)
-    report[4] = max(report[4], speed)
-    report[5] = max(report[5], squared)
+    report[STRAY] = max(report[STRAY], distance)
+    report[SPEED] = max(report[SPEED], speed)
+    report[GRADIENT2] = max(report[GRADIENT2], squared)
 
 
 @device_function

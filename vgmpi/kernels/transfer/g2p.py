@@ -51,6 +51,7 @@ from vgmpi.kernels.simd.row_ops import (
 )
 from vgmpi.kernels.simd.vector16 import ALL_LANES, SIMD_WIDTH, in_range_mask, masked, pointer, store
 from vgmpi.kernels.stencil_sums import gather_affine, gather_gradient
+from vgmpi.kernels.step_records import FAILED_ID, FAILURE, GRADIENT2, RATE, SPEED, STRAY
 from vgmpi.kernels.wall_boundary import complete_wall_mass, fill_ghost_velocity
 from vgmpi.materials.tensor_math.tensor import update_deformation_gradient
 from vgmpi.runtime.jit import borrowing_kernel, device_function, kernel
@@ -251,10 +252,10 @@ def record_step_bounds(report, fastest, distance, quick, stretching, carried, tu
         horizontal_max(quick) / (MAX_CELLS_PER_STEP * dx),
         horizontal_max(stretching) / MAX_VOLUME_STRAIN_PER_STEP,
     )
-    report[0] = max(report[0], rate)
-    report[1] = max(report[1], horizontal_max(distance))
-    report[4] = max(report[4], horizontal_max(carried) / motion.dt)
-    report[5] = max(report[5], horizontal_max(turning))
+    report[RATE] = max(report[RATE], rate)
+    report[STRAY] = max(report[STRAY], horizontal_max(distance))
+    report[SPEED] = max(report[SPEED], horizontal_max(carried) / motion.dt)
+    report[GRADIENT2] = max(report[GRADIENT2], horizontal_max(turning))
 
 
 @device_function
@@ -348,9 +349,9 @@ def keep_lowest_id(report, number, reason):
         number: Particle id.
         reason: Failure code of this module.
     """
-    if report[2] == 0.0 or number + 1.0 < report[2]:
-        report[2] = number + 1.0
-        report[3] = reason
+    if report[FAILED_ID] == 0.0 or number + 1.0 < report[FAILED_ID]:
+        report[FAILED_ID] = number + 1.0
+        report[FAILURE] = reason
 
 
 @borrowing_kernel

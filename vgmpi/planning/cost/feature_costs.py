@@ -45,7 +45,7 @@ def group_features(
     """
     group = plan.groups[g]
     fields = plan.fields(g)
-    if group.pinned:
+    if group.carrier:
         time = pace.fluid * group.cost * costs.law
         return [Feature("carried by what holds it", time, sum(fields.values()))]
     own = {name: fields.pop(name, 0) for name in ("share", "F", "surface", "color")}

@@ -11,7 +11,7 @@ from vgmpi.scene.scene import Scene
 
 from . import accuracy_benchmarks
 from .feature_costs import feature_table
-from .rigid_body_lines import pinned_lines, rigid_body_lines
+from .rigid_body_lines import rigid_body_lines
 from .throughput import Throughput
 
 PRECISION = {
@@ -31,8 +31,9 @@ def plan_details(scene: Scene, plan: Plan, pace: Throughput) -> list[str]:
     """
     lines = [f"  precision   {scene.accuracy.precision}: {PRECISION[scene.accuracy.precision]}"]
     lines += _phases(plan) + _regions(scene, plan) + _couplings(plan) + _walls(plan)
-    lines += rigid_body_lines(scene, plan) + pinned_lines(plan) + _joints(scene)
-    lines += _slip(scene) + _flows(plan) + _accuracy_notes(scene, plan)
+    lines += rigid_body_lines(scene, plan)
+    lines += [line for feature in plan.features for line in feature.report_lines(plan)]
+    lines += _joints(scene) + _slip(scene) + _flows(plan) + _accuracy_notes(scene, plan)
     return (
         lines + accuracy_benchmarks.preset_accuracy_lines(scene) + feature_table(scene, plan, pace)
     )
@@ -47,9 +48,9 @@ def _phases(plan: Plan) -> list[str]:
                 continue
             n = sum(count for count, group_number in group_counts(plan) if group_number == g)
             fields = ", ".join(f"{name} {size}" for name, size in plan.fields(g).items())
+            what = f"{group.carrier} particles".lstrip()
             lines.append(
-                f"  phase       {phase.name}: {n:,} {'pinned ' * group.pinned}particles of"
-                f" {group.material}"
+                f"  phase       {phase.name}: {n:,} {what} of {group.material}"
                 f" ({group.family}), {plan.bytes_per_particle(g)} bytes each: {fields};"
                 f" once for all: density and {len(group.law)} numbers of the law"
             )

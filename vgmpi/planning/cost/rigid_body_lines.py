@@ -30,34 +30,6 @@ def rigid_body_lines(scene: Scene, plan: Plan) -> list[str]:
     return lines
 
 
-def pinned_lines(plan: Plan) -> list[str]:
-    """Return the lines of --plan on the pinned parts of bodies.
-
-    Args:
-        plan: The plan.
-    """
-    regions = [part.region for part in plan.pins]
-    lines = [
-        f"  pinned      {escape_control_characters(region.name)}: {region.count:,} of"
-        f" {plan.count[region.object]:,} particles, {region.masses.mass:.4g} kg, to"
-        f" {_holder(region)}"
-        for region in regions[:MAX_LINES]
-    ]
-    if len(regions) > MAX_LINES:
-        more = regions[MAX_LINES:]
-        count = sum(region.count for region in more)
-        lines.append(f"  pinned      {len(more):,} more parts: {count:,} particles")
-    return lines
-
-
-def _holder(region) -> str:
-    """Return what holds a pinned part."""
-    if region.is_free:
-        return f"{escape_control_characters(region.to)}, which carries this mass"
-    name = "the world" if region.holder < 0 else escape_control_characters(region.to)
-    return name if region.course is None else f"{name}, which moves"
-
-
 def _listing(names: list[str]) -> str:
     """Return names with commas between them; the first ones of many."""
     more = f" and {len(names) - MAX_LINES} more" if len(names) > MAX_LINES else ""

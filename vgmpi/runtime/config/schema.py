@@ -275,6 +275,11 @@ def format_validation_errors(
     return [_explain(dict(item), table) for item in error.errors(include_url=False)]
 
 
+def as_list(value: Any) -> Any:
+    """Return a single table as a list of it, and everything else as it is."""
+    return [value] if isinstance(value, dict) else value
+
+
 def format_input(value: object) -> str:
     """Return the value as the user wrote it, shortened."""
     text = str(value).lower() if isinstance(value, bool) else repr(value)

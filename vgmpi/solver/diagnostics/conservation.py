@@ -1,13 +1,13 @@
 """Conservation monitor: mass, momentum and energy of each phase, for any number of ranks."""
 
 import math
+from typing import Any
 
 import numpy as np
 
+from vgmpi.features.inlets_outlets.flow_accounting import FlowAccounting, allreduce_bigint
 from vgmpi.kernels.diagnostics import COLUMNS, body_momentum_rows, segment_conservation_rows
 from vgmpi.parallel.particle_group import ParticleGroup
-from vgmpi.planning.plan import Plan
-from vgmpi.solver.boundary.flow_accounting import Tally, allreduce_bigint
 from vgmpi.solver.simulation import Simulation
 
 from .liquid_fill import LiquidFill, liquid_fill
@@ -26,13 +26,13 @@ def conservation_rows(simulation: Simulation) -> list[dict]:
             group.plan.law, group.start, group.count, group.block, group.xi, group.f, group.bits,
             group.plan.density, plan.dx, plan.gravity_at(simulation.time), rows,
         )  # fmt: skip
-        if group.plan.pinned and _moves_with_free_body(plan, len(sums)):
+        if any(len(sums) in feature.uncounted_groups for feature in plan.features):
             rows[:, 1:8] = rows[:, 9] = 0.0  # part of the columns of rigid bodies
         sums.append(simulation.ranks.gather_rows(rows))
-    tally, flow = simulation.flow_accounting, []
-    if tally is not None:
-        passed = tally.totals(simulation.ranks)
-        present = tally.current_totals(simulation.groups, simulation.ranks)
+    accounting: Any = simulation.features.get("flow_accounting")
+    flow: list = []
+    if accounting is not None:
+        passed, present = accounting.totals(), accounting.current_totals()
         flow = [[*row, *now] for row, now in zip(passed, present, strict=True)]
     counts: list[list[int]] = []
     if plan.driven:  # released bodies change their phase
@@ -48,32 +48,29 @@ def conservation_rows(simulation: Simulation) -> list[dict]:
     for k, entry in enumerate(entries if counts else ()):
         members = [g for g, group in enumerate(plan.groups) if group.phase == k]
         entry["particles"] = sum(counts[g][0] for g in members)
-    if tally is not None:
+    if accounting is not None:
         for k, entry in enumerate(entries):
-            entry |= _flow(tally, k, flow)
-    if simulation.bodies is not None:
-        bodies = simulation.bodies.bodies.conserved(plan.gravity_at(simulation.time))
+            entry |= _flow(accounting, k, flow)
+    for feature in simulation.features.values():
+        more = feature.conserved(simulation.time)
         for k, entry in enumerate(entries):
-            entry |= {name: value if k == 0 else 0.0 for name, value in bodies.items()}
+            entry |= {name: value if k == 0 else 0.0 for name, value in more.items()}
     return entries
 
 
-def _moves_with_free_body(plan: Plan, group: int) -> bool:
-    """Return whether a free rigid body holds the pinned part whose particles a group has."""
-    return any(group in part.groups and part.region.is_free for part in plan.pins)
-
-
-def _flow(tally: Tally, phase: int, totals: list[list[int]]) -> dict:
+def _flow(accounting: FlowAccounting, phase: int, totals: list[list[int]]) -> dict:
     """Return the in, out and present totals of a phase, all counted the same way.
 
     Args:
-        tally: Accounting of the open system.
+        accounting: Accounting of the open system.
         phase: Index of the phase.
         totals: Particles and volume in, out and present, by group.
     """
-    members = [g for g, group in enumerate(tally.plan.groups) if group.phase == phase]
+    members = [g for g, group in enumerate(accounting.plan.groups) if group.phase == phase]
     count_in, count_out, count = (sum(totals[g][c] for g in members) for c in (0, 2, 4))
-    mass_in, mass_out, mass = (sum(tally.mass(g, totals[g][c]) for g in members) for c in (1, 3, 5))
+    mass_in, mass_out, mass = (
+        sum(accounting.mass(g, totals[g][c]) for g in members) for c in (1, 3, 5)
+    )
     return {
         "particles": count,
         "mass": mass,

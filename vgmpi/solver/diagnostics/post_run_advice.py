@@ -57,8 +57,8 @@ def advice(scene: Scene, plan: Plan, observed: RunObserver) -> list[str]:
 
 def _stiffness_advice(scene: Scene, plan: Plan, observed: RunObserver) -> list[str]:
     """Advise to soften the liquid that limits the time step, if its motion allows it."""
-    bounds = time_step_bounds(scene, plan)
-    dt, limit = bounds[0]
+    limits = time_step_bounds(scene, plan)
+    dt, limit = limits[0]
     name = next((name for name in scene.material if limit == f"material {name!r}"), None)
     if name is None:
         return []
@@ -78,7 +78,7 @@ def _stiffness_advice(scene: Scene, plan: Plan, observed: RunObserver) -> list[s
                 modulus * _compression(plan, observed, group.phase, modulus) / allowed,
             )
     wave = math.sqrt(minimum_modulus / material.density)
-    others = [bound for bound, source in bounds if source != limit]
+    others = [bound for bound, source in limits if source != limit]
     longer = min([plan.cfl * plan.dx / (wave + speed), *others])
     if longer < MIN_STEP_GAIN * dt:
         return []

@@ -6,6 +6,7 @@ as in the conservation log.
 """
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -155,9 +156,10 @@ class Probes:
         plan = self.simulation.plan
         k = [obj.name for obj in self.scene.object].index(probe.object)
         members = [plan.group_of[k]]
-        members += [body.joins for body in plan.driven if k in body.things]
+        members += [body.group_after_release for body in plan.driven if k in body.things]
         members += sorted({region.group for region in plan.regions if region.thing == k})
-        members += [g for part in plan.pins if part.object == k for g in part.groups]
+        parts = [part for feature in plan.features for part in feature.parts()]
+        members += [part.group for part in parts if part.object == k]
         last = plan.first_id[k] + plan.count[k] - 1
         rows = np.zeros((0, 7))
         for g in members:
@@ -182,8 +184,7 @@ class Probes:
 
     def rigid_body(self, probe: Probe) -> dict:
         """Measure pose, velocities, momenta and mean force and torque of a rigid body."""
-        coupling = self.simulation.bodies
-        assert coupling is not None
+        coupling: Any = self.simulation.features["rigid_bodies"]
         bodies = coupling.bodies
         names = [coupling.movers.colliders[row].name for row in bodies.rows]
         k = names.index(probe.object)
@@ -214,16 +215,15 @@ class Probes:
             return {}
         rate, dt = self._rate(probe, momentum)
         external_force = mass * self._gravity(dt) + self._force_of_changes(probe, dt)
-        if dt and self.simulation.loads is not None:
+        loads: Any = self.simulation.features.get("loads")
+        if dt and loads is not None:
             now = self.simulation.time
-            external_force = (
-                external_force + self.simulation.loads.total_impulse(now - dt, now) / dt
-            )
+            external_force = external_force + loads.total_impulse(now - dt, now) / dt
         return _vector("momentum", momentum) | _vector("force", external_force - rate)
 
     def _force_of_changes(self, probe: Probe, dt: float) -> np.ndarray:
         """Return the mean force (3,) [N] that a program gave within dt [s] since the last row."""
-        changes = self.simulation.changes
+        changes: Any = self.simulation.features.get("particle_changes")
         if changes is None:
             return np.zeros(3)
         before = self.given_impulses.get(probe.name, np.zeros(3))
@@ -236,19 +236,19 @@ class Probes:
 
     def collider(self, probe: Probe) -> dict:
         """Measure force, torque and work of the bodies on a collider or of a prescribed body."""
-        assert self.simulation.reactions is not None
+        reactions: Any = self.simulation.features["reactions"]
         names = [obj.name for obj in self.scene.object]
         name = probe.collider or ""
-        row = self.simulation.reactions.row(name, names.index(name))
-        work = float(self.simulation.reactions.totals[row, 6])
+        row = reactions.row(name, names.index(name))
+        work = float(reactions.totals[row, 6])
         before = self.rows[probe.name][-1]["cumulative_work"] if self.rows[probe.name] else np.nan
         return self._reaction(probe, row) | {"work": work - before, "cumulative_work": work}
 
     def joint(self, probe: Probe) -> dict:
         """Measure position, force, torque and motor power of a joint in the last step."""
-        assert self.simulation.bodies is not None and self.simulation.bodies.joints is not None
+        bodies: Any = self.simulation.features["rigid_bodies"]
         names = [joint.name for joint in self.scene.joint]
-        state = self.simulation.bodies.joints.state(names.index(probe.joint))
+        state = bodies.joints.state(names.index(probe.joint))
         is_angle = self.scene.joint[names.index(probe.joint)].kind == "hinge"
         return (
             {"angle": state.coordinate if is_angle else np.nan}
@@ -260,8 +260,8 @@ class Probes:
 
     def _reaction(self, probe: Probe, row: int) -> dict:
         """Return force [N] and torque [N m] on a collider or a wall, by its row in Reactions."""
-        assert self.simulation.reactions is not None
-        reaction = -self.simulation.reactions.totals[row]  # reaction of the bodies on it
+        reactions: Any = self.simulation.features["reactions"]
+        reaction = -reactions.totals[row]  # reaction of the bodies on it
         impulse = _vector("impulse", reaction[:3])
         angular_impulse = _vector("angular_impulse", reaction[3:6])
         force, torque = np.full((2, 3), np.nan)

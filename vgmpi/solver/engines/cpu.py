@@ -1,10 +1,12 @@
 """CPU engine: arrays and kernel calls of a time step, in compiled code on the processor's cores."""
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+from vgmpi.features.active_feature import ActiveFeature, NodeState, carrier_of, reserved_nodes
 from vgmpi.kernels import particle_records, reproducible_sums
 from vgmpi.kernels.grid import contact_impulses, mixture_workspace, update
 from vgmpi.kernels.grid.sided_phases import sided_phases
@@ -19,6 +21,17 @@ from vgmpi.kernels.rigid.prescribed_motion import (
 )
 from vgmpi.kernels.rigid.prescribed_transfer import advect_prescribed
 from vgmpi.kernels.rigid.static_colliders import StaticColliders
+from vgmpi.kernels.step_records import (
+    FAILED_ID,
+    FAILURE,
+    GRADIENT2,
+    MAXIMA,
+    RATE,
+    SPEED,
+    STRAY,
+    AccumulatorOverflow,
+    StepReport,
+)
 from vgmpi.kernels.transfer import g2p, p2g, transfer_correction
 from vgmpi.kernels.transfer.particle_shifting import NodeFill, ShiftConstants
 from vgmpi.kernels.wall_boundary import KINDS, patch_codes
@@ -30,7 +43,7 @@ from vgmpi.planning.plan import Plan
 from vgmpi.runtime.aligned_arrays import aligned_zeros, with_capacity
 
 from . import surface_fields
-from .engine_protocol import DITHER, AccumulatorOverflow, StepReport
+from .engine_protocol import DITHER
 from .group_context import (
     GroupContext,
     auxiliary_gather_kind,
@@ -62,12 +75,12 @@ class Cpu(KernelCaller):
     ):  # fmt: skip
         super().__init__(threads)
         self.plan, self.driven = plan, driven
-        self.pins: Any = None  # pinned parts of bodies, set by the simulation
+        self.features: Mapping[str, ActiveFeature] = {}  # of the run, set by the simulation
         self.groups = [self.GROUP(group, lattice, plan.real) for group in plan.groups]
         self.solids = solids
         self.no_rigid = update.RigidBoundaries(
             np.zeros((0, 64, 4), plan.real), np.zeros((0, 64, 3), plan.real),
-            np.zeros((0, 64), int), NO_PRESCRIBED_BODIES if driven is None else driven.ways,
+            np.zeros((0, 64), int), NO_PRESCRIBED_BODIES if driven is None else driven.motions,
             getattr(solids, "is_free", np.zeros(0, bool)),
         )  # fmt: skip
         self.walls, self.phases = wall_table(plan), phase_table(plan)
@@ -97,18 +110,18 @@ class Cpu(KernelCaller):
         self.reactions: ReactionAccumulators | None = None
         self.pairs = mixture_workspace.mixture_tables(plan.rules) if plan.rules is not None else ()
         self.parts: list[GroupContext] = []
-        self.reports = np.zeros((len(plan.groups), threads, 6))
+        self.reports = np.zeros((len(plan.groups), threads, MAXIMA))
         self.beyond = np.zeros((threads, len(self.layers)), np.int64)
 
     def enable_reactions(self, rows: int, quanta: np.ndarray, rank: int) -> None:
         """Start to sum the reactions of colliders and walls.
 
         Args:
-            rows, quanta, rank: See `Engine.enable_reactions`.
+            rows, quanta, rank: See `EngineServices.enable_reactions`.
         """
         self.reactions = ReactionAccumulators(self.plan, rows, quanta, rank, self.threads)
 
-    def given(self) -> np.ndarray:
+    def take_reactions(self) -> np.ndarray:
         """Return the reactions summed since the last call, shape (rows, 7) int64."""
         assert self.reactions is not None
         return self.reactions.take()
@@ -274,8 +287,8 @@ class Cpu(KernelCaller):
         rigid, solids = self.no_rigid, self.solids
         if solids is not None:
             rigid = rigid._replace(nodes=solids.nodes, moves=solids.moves, whose=solids.whose)
-        if self.pins is not None:
-            rigid = rigid._replace(ways=rigid.ways._replace(pinned=self.pins.marks))
+        if (marks := reserved_nodes(self.features)) is not None:
+            rigid = rigid._replace(motions=rigid.motions._replace(reserved=marks))
         shear = layers["shear"].tables if self.plan.has_surface_friction else None
         summed = update.CommonFields(layers["momentum"].tables, layers["offsets"].tables)
         self.call_if_rows(
@@ -288,11 +301,16 @@ class Cpu(KernelCaller):
                 self.beyond[thread], len(layers) - len(self.hues) + k,
             )  # fmt: skip
 
-    def begin_coupling(self) -> None:
-        """Convert the sums that only these kernels read to numbers."""
+    def begin_coupling(self) -> NodeState:
+        """Convert the sums that only couplings read to numbers, and return the nodes."""
         for number, (name, field) in enumerate(self.layers.items()):
             if name in fields_of_couplings(self.plan):
                 reproducible_sums.finalize_field(self.blocks, field.tables, self.beyond[0], number)
+        return NodeState(
+            self.layers["momentum"].nodes, self.layers, self.beside, self.tables, self.blocks,
+            self.block_shares.all, self.phases, self.walls,
+            [workspace.given for workspace in self.room], self.each, self.call,
+        )  # fmt: skip
 
     def end_coupling(self) -> None:
         """Do nothing: the nodes have their velocities."""
@@ -306,12 +324,15 @@ class Cpu(KernelCaller):
         )  # fmt: skip
         self.reports[:] = 0
         self.each(self._gather, motion)
-        rows = self.reports.reshape(-1, 6)
+        rows = self.reports.reshape(-1, MAXIMA)
         maxima = rows.max(0).tolist()
-        failed = [(int(row[2]) - 1, int(row[3])) for row in rows[rows[:, 2] > 0]]
+        failed = [
+            (int(row[FAILED_ID]) - 1, int(row[FAILURE])) for row in rows[rows[:, FAILED_ID] > 0]
+        ]
         stress = max(float(scratch.peak.max()) for scratch in self.scratch)
-        bounds = self.plan.dx * maxima[4], math.sqrt(maxima[5]), math.sqrt(stress)
-        return StepReport(maxima[0], maxima[1], bounds, failed, self._found_beyond())
+        speed, gradient2 = self.plan.dx * maxima[SPEED], maxima[GRADIENT2]
+        bounds = speed, math.sqrt(gradient2), math.sqrt(stress)
+        return StepReport(maxima[RATE], maxima[STRAY], bounds, failed, self._found_beyond())
 
     def _gather(self, thread: int, motion: g2p.StepConstants) -> None:
         scratch = self.scratch[thread]
@@ -344,13 +365,13 @@ class Cpu(KernelCaller):
     def _carry(self, g: int, rows: np.ndarray, motion: g2p.StepConstants, report) -> None:
         """Advect particles of group `g` with a given motion; particles at rest stay."""
         part, group = self.parts[g], self.groups[g]
-        carrier: Any = self.pins if group.plan.pinned else self.driven
+        carrier: Any = carrier_of(self.features, group.plan.carrier) or self.driven
         row = -1 if carrier is None else carrier.row_of_group(g, group.plan.phase)
         if row >= 0:
             rotated = np.array([group.plan.channels.first(name) for name in ROTATED_CHANNELS])
             self.call_if_rows(
                 (), advect_prescribed, rows, part.segments, group.block, particles_of(group), row,
-                carrier.ways, rotated, self.plan.dx, self.dt, motion, report,
+                carrier.motions, rotated, self.plan.dx, self.dt, motion, report,
             )  # fmt: skip
 
     def node_fill_now(self) -> NodeFill | None:

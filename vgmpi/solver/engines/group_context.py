@@ -6,18 +6,18 @@ import numpy as np
 
 from vgmpi.kernels.kernel_arguments import Particles, Segments
 from vgmpi.kernels.reaction_impulses import GhostNodes
+from vgmpi.kernels.step_records import AccumulatorOverflow
 from vgmpi.kernels.transfer import auxiliary_gather, g2p
 from vgmpi.kernels.transfer.auxiliary_gather import MixtureFlipGather
 from vgmpi.kernels.transfer.liquid_volume import CellDilatation, DensityCorrected
 from vgmpi.kernels.transfer.pressure_transfer import ImplicitPressure
+from vgmpi.parallel.block_lattice import position_limits
 from vgmpi.parallel.exchange_topology import ExchangeTopology
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.phases_and_groups import GroupPlan
 from vgmpi.planning.plan import Plan
 
-from .engine_protocol import AccumulatorOverflow
 from .nodal_field_storage import FieldContribution, contributions, timeless_contributions
-from .plan_tables import position_limits
 from .reaction_sums import ReactionAccumulators
 from .surface_fields import SurfaceContributions, split_contributions
 from .thread_partition import ThreadPartition

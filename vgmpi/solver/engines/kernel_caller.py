@@ -32,6 +32,10 @@ class KernelCaller:
             compiled = self.entries[kernel, key] = precompiled_entry(kernel, *arguments)
         compiled(*arguments)
 
+    def call(self, kernel, rows: np.ndarray, *arguments) -> None:
+        """Call kernel(rows, *arguments) if there are rows; its calls have equal types."""
+        self.call_if_rows((), kernel, rows, *arguments)
+
     def each(self, work, *arguments) -> None:
         """Call work(thread, *arguments) on every thread."""
         if self.pool is None:

@@ -148,7 +148,7 @@ def contributions(
         contributes: Field name -> segments that contribute, (segments,) bool.
         split: Segments whose stress impulse is summed separately, shape (segments,) bool.
     """
-    if group.pinned:  # its particles are not on the grid
+    if group.carrier:  # its particles are not on the grid
         return []
     full, inert = momentum.contribution_kinds(plan, group)
     result = [
@@ -188,11 +188,12 @@ def contributions(
 
 
 def fields_near_colliders(plan: Plan) -> tuple[str, ...]:
-    """Return the names of the nodal fields that are summed near surfaces and pins alone."""
+    """Return the names of the nodal fields that are summed near surfaces alone."""
     if plan.free_bodies:
         return NEAR_BODIES
     slips = plan.slip is not None or plan.slip_of_solids is not None
-    return GRADIENTS if slips or plan.pins else ()
+    names = frozenset().union(*(feature.nodal_fields for feature in plan.features))
+    return tuple(name for name in GRADIENTS if slips or name in names)
 
 
 def fields_of_couplings(plan: Plan) -> tuple[str, ...]:
@@ -204,8 +205,8 @@ def near_colliders_of_group(plan: Plan, group: GroupPlan) -> tuple[str, ...]:
     """Return those of these fields to which a group contributes."""
     rules = [rule for rule in (plan.slip, plan.slip_of_solids) if rule is not None]
     slips = any(rule.phases[group.phase] for rule in rules)
-    is_pinned = any(part.phase == group.phase for part in plan.pins)
-    if group.is_carried or not (plan.free_bodies or slips or is_pinned):
+    is_read = any(group.phase in feature.phases for feature in plan.features)
+    if group.is_carried or not (plan.free_bodies or slips or is_read):
         return ()
     return fields_near_colliders(plan)
 

@@ -5,7 +5,6 @@ import numpy as np
 from vgmpi.kernels.grid.sided_phases import Phases
 from vgmpi.kernels.kernel_arguments import Walls
 from vgmpi.kernels.wall_boundary import KINDS, SEPARATE, YIELDING
-from vgmpi.parallel.block_lattice import BLOCK_EDGE
 from vgmpi.planning.phases_and_groups import PhasePlan
 from vgmpi.planning.plan import Plan
 
@@ -48,10 +47,3 @@ def phase_table(plan: Plan) -> Phases:
 def phase_sets(plan: Plan) -> np.ndarray:
     """Return the number of the set with one velocity that each phase is in, -1 for none."""
     return np.full(len(plan.phases), -1) if plan.rules is None else plan.rules.as_one
-
-
-def position_limits(block: np.ndarray, cells: tuple[int, int, int]) -> np.ndarray:
-    """Return position limits [cells from block center], half a cell beyond walls, (n, 3, 2)."""
-    low = -2.0 - BLOCK_EDGE * block
-    high = np.array(cells) - 1.0 - BLOCK_EDGE * block
-    return np.stack([np.maximum(low, -5.0), np.minimum(high, 5.0)], -1)

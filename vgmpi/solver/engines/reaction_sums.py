@@ -12,7 +12,7 @@ from vgmpi.planning.plan import Plan
 
 
 class ReactionAccumulators:
-    """Reaction sums of each thread, rows of `NUMBERS`; see `Engine.enable_reactions`."""
+    """Reaction sums of each thread, rows of `NUMBERS`; see `EngineServices.enable_reactions`."""
 
     def __init__(self, plan: Plan, rows: int, quanta: np.ndarray, rank: int, threads: int):
         self.plan, self.rank = plan, rank

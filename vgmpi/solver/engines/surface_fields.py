@@ -36,9 +36,10 @@ class SurfaceContributions(NamedTuple):
 def is_summed_at_surfaces(plan: Plan) -> bool:
     """Return whether the fields near free bodies are summed at the nodes next to them alone.
 
-    Pinned parts, thin walls and liquids that stick to solids read them at more nodes.
+    Other features, thin walls and liquids that stick to solids read them at more nodes.
     """
-    elsewhere = plan.pins or plan.sides is not None or plan.slip_of_solids is not None
+    elsewhere = any(feature.nodal_fields for feature in plan.features)
+    elsewhere |= plan.sides is not None or plan.slip_of_solids is not None
     return plan.free_bodies and not elsewhere
 
 

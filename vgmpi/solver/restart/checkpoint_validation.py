@@ -11,17 +11,13 @@ from typing import Any
 import numpy as np
 
 from vgmpi.io import checkpoint, file_layout
-from vgmpi.kernels.reaction_impulses import NUMBERS
+from vgmpi.io.checkpoint import Mismatch, is_count, is_number
 from vgmpi.kernels.transfer.g2p import MAX_STRAY_CELLS
 from vgmpi.parallel.block_lattice import BITS, BLOCK_CENTER, BLOCK_EDGE, INTEGER
 from vgmpi.planning.region_groups import groups_of_particles
 from vgmpi.solver.simulation import Simulation
 
 ROWS = 1 << 20  # number of rows validated together
-
-
-class Mismatch(checkpoint.CheckpointError):
-    """Error of a checkpoint that does not belong to this scene."""
 
 
 def check_attrs(path: Any, attrs: dict, run: bool = True) -> None:
@@ -37,18 +33,18 @@ def check_attrs(path: Any, attrs: dict, run: bool = True) -> None:
     """
     reach = attrs.get("reach")
     checks = {
-        "time": _number(attrs.get("time")) and 0.0 <= attrs["time"] < 1e100,
-        "sorted_time": _number(sorted_time := attrs.get("sorted_time", 0.0))
+        "time": is_number(attrs.get("time")) and 0.0 <= attrs["time"] < 1e100,
+        "sorted_time": is_number(sorted_time := attrs.get("sorted_time", 0.0))
         and 0.0 <= sorted_time < 1e100,
-        "step": _count(attrs.get("step")),
-        "since": _count(attrs.get("since", 0)),
-        "rate": _number(attrs.get("rate")) and 0.0 <= attrs["rate"] < math.inf,
+        "step": is_count(attrs.get("step")),
+        "since": is_count(attrs.get("since", 0)),
+        "rate": is_number(attrs.get("rate")) and 0.0 <= attrs["rate"] < math.inf,
         "reach": isinstance(reach, list)
-        and all(_number(value) and value >= 0.0 for value in reach),
+        and all(is_number(value) and value >= 0.0 for value in reach),
     }
     if run:
         frame = attrs.get("frame")
-        checks["frame"] = _count(frame, file_layout.MAX_FRAMES)
+        checks["frame"] = is_count(frame, file_layout.MAX_FRAMES)
         checks["scene"] = isinstance(attrs.get("scene"), dict)
         history = attrs.get("resume_history", [])
         checks["resume_history"] = isinstance(history, list)
@@ -56,58 +52,6 @@ def check_attrs(path: Any, attrs: dict, run: bool = True) -> None:
     for name, is_good in checks.items():
         if not is_good:
             raise Mismatch(f"{path}: attrs: {name} cannot be {attrs.get(name)!r:.60}")
-
-
-def _number(value):
-    """Return whether a value is a number and no boolean."""
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _count(value, upper=1 << 62):
-    """Return whether a value is an integer in the half-open range from 0 to `upper`."""
-    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < upper
-
-
-def validate_flow_accounting(
-    simulation: Simulation, saved: checkpoint.Checkpoint
-) -> list[list[int]]:
-    """Return the in and out totals of the groups (flow_accounting.Tally.totals).
-
-    Raises:
-        Mismatch: If they do not fit the particles of the checkpoint.
-    """
-    totals: Any = saved.attrs.get("flow")
-    groups = len(simulation.groups)
-    is_valid = isinstance(totals, list) and len(totals) == groups
-    for g, row in enumerate(totals if is_valid else []):
-        is_valid = is_valid and isinstance(row, list) and len(row) == 4
-        is_valid = is_valid and all(_count(value, 1 << 120) for value in row)
-        is_valid = is_valid and row[0] - row[2] == saved.count(f"group_{g:03d}/id")
-    if not is_valid:
-        raise Mismatch(f"{saved.path}: attrs: flow cannot be {totals!r:.60}")
-    return totals
-
-
-def validate_reactions(saved: checkpoint.Checkpoint) -> dict:
-    """Return the saved reactions (Reactions.saved); empty if the run did not record any.
-
-    Raises:
-        Mismatch: If they are impossible.
-    """
-    saved_reactions: Any = saved.attrs.get("given", {"mass": 0.0, "totals": []})
-    is_valid = (
-        isinstance(saved_reactions, dict)
-        and _number(saved_reactions.get("mass"))
-        and 0.0 <= saved_reactions["mass"] < 1e100
-    )
-    rows: Any = saved_reactions.get("totals") if is_valid else None
-    is_valid = isinstance(rows, list)
-    for row in rows if is_valid else []:
-        is_valid = is_valid and isinstance(row, list) and len(row) == NUMBERS
-        is_valid = is_valid and all(_number(value) and abs(value) < 1e100 for value in row)
-    if not is_valid:
-        raise Mismatch(f"{saved.path}: attrs: given cannot be {saved_reactions!r:.60}")
-    return saved_reactions
 
 
 def check_rows(
@@ -224,11 +168,9 @@ def _rows(simulation, saved, g, first, block):
         usual = groups_of_particles(plan, ids, owner)
         wrong = usual != g
         for body in plan.driven:  # released particles are in the group that they join
-            wrong &= ~(np.isin(owner, body.things) & (body.joins == g))
-        for part in plan.pins:
-            if part.region.release_time < np.inf:
-                own = [k for k, joins in zip(part.groups, part.joins, strict=True) if joins == g]
-                wrong &= ~np.isin(usual, own)
+            wrong &= ~(np.isin(owner, body.things) & (body.group_after_release == g))
+        released = [part for feature in plan.features for part in feature.released_parts()]
+        wrong &= ~np.isin(usual, [part.group for part in released if part.group_after_release == g])
         if plan.sides is not None:  # those on the back side of a wall are in a group of their own
             wrong &= np.array(plan.sides.twin_group)[usual] != g
     if wrong.any():

@@ -2,22 +2,17 @@
 
 import numpy as np
 
+from vgmpi.io.checkpoint import Mismatch
+from vgmpi.kernels.step_records import ParticleMaxima
 from vgmpi.materials.material import law_function
 from vgmpi.parallel.block_ownership import BlockDirectory, build_block_directory
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.particle_group import SIMD_WIDTH, ParticleGroup
 from vgmpi.solver.diagnostics.particle_fields import continuum_rows
 from vgmpi.solver.diagnostics.volume_fractions import volume_fractions
-from vgmpi.solver.engines.engine_protocol import ParticleMaxima
 from vgmpi.solver.simulation import Simulation
 
-from .checkpoint_validation import (
-    Mismatch,
-    check_attrs,
-    check_rows,
-    validate_flow_accounting,
-    validate_reactions,
-)
+from .checkpoint_validation import check_attrs, check_rows
 
 
 def frame_rows(simulation: Simulation, names: tuple[str, ...]) -> tuple[np.ndarray, dict]:
@@ -150,17 +145,8 @@ def save(simulation: Simulation) -> dict:
         "cells": list(simulation.plan.cells),
         "dx": simulation.plan.dx,
     }
-    mover = simulation.movers or simulation.pins
-    if mover is not None:
-        attrs["sorted_time"] = mover.since
-    if simulation.bodies is not None:
-        attrs["bodies"] = simulation.bodies.saved()
-    if simulation.releases is not None:
-        attrs["since"] = simulation.correction_origin_step
-    if simulation.reactions is not None:
-        attrs["given"] = simulation.reactions.saved()
-    if simulation.flow_accounting is not None:
-        attrs["flow"] = simulation.flow_accounting.totals(simulation.ranks)
+    for feature in simulation.features.values():
+        attrs |= feature.saved()
     return {"attrs": attrs, "groups": groups}
 
 
@@ -188,22 +174,12 @@ def restore(simulation: Simulation, saved) -> None:
             )
     check_attrs(saved.path, saved.attrs, run=False)
     segments = check_rows(simulation, saved)
-    if simulation.flow_accounting is not None:
-        simulation.flow_accounting.restore(
-            validate_flow_accounting(simulation, saved), simulation.ranks
-        )
     simulation.time, simulation.step = saved.attrs["time"], saved.attrs["step"]
     simulation.rate = saved.attrs["rate"]
     simulation.particle_maxima = ParticleMaxima(*saved.attrs["reach"])
     simulation.sorted_at = simulation.step
-    simulation.correction_origin_step = saved.attrs.get("since", 0)
-    if simulation.releases is not None:
-        simulation.releases.open_walls(simulation.time)
-    if simulation.bodies is not None:
-        simulation.bodies.bodies.restore_search(saved.attrs["bodies"]["bodies"])
-    for mover in (simulation.movers, simulation.pins):
-        if mover is not None:  # the blocks near colliders are those of the last sort
-            mover.stand(saved.attrs.get("sorted_time", simulation.time))
+    for feature in simulation.features.values():
+        feature.place_saved(saved.attrs, simulation.time)
     rows = [_segments(simulation, g, *share) for g, share in enumerate(segments)]
     costs = np.array([group.cost for group in plan.groups])
     table, simulation.cut = build_block_directory(
@@ -212,11 +188,8 @@ def restore(simulation: Simulation, saved) -> None:
     for g, group in enumerate(simulation.groups):
         _read_group(group, saved, f"group_{g:03d}", table, g, simulation.ranks)
     simulation.set_directory(table)
-    if simulation.bodies is not None:
-        simulation.bodies.restore(saved.attrs["bodies"])
-    if simulation.reactions is not None:
-        simulation.reactions.set_mass_bound(simulation.groups)
-        simulation.reactions.restore(validate_reactions(saved))
+    for feature in simulation.features.values():
+        feature.restore(saved)
 
 
 def _segments(simulation: Simulation, g: int, code: np.ndarray, count: np.ndarray) -> np.ndarray:

@@ -1,13 +1,15 @@
 """Velocities and forces that a program gives to single particles between two steps."""
 
 import zlib
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from vgmpi.features.active_feature import ActiveFeature
+from vgmpi.features.particle_insertion import bounds_of_particles
 from vgmpi.kernels.kernel_arguments import MAX_CELLS_PER_STEP
+from vgmpi.kernels.step_records import ParticleBounds, StepSpan
 from vgmpi.parallel.particle_group import ParticleGroup
-from vgmpi.solver.boundary.particle_insertion import bounds_of_particles
 
 SETTABLE = {"velocity": ("v", 3), "C": ("C", 9)}  # channel and width, by the name in the files
 
@@ -20,7 +22,7 @@ class Owned(NamedTuple):
     rows: np.ndarray  # (m,) in what the program gives
 
 
-class ParticleChanges:
+class ParticleChanges(ActiveFeature):
     """Changes of single particles by a program. All methods are collective.
 
     Every rank gives the same ids and values and changes the particles that it owns: the result has
@@ -34,9 +36,7 @@ class ParticleChanges:
         """Begin without any change."""
         self.simulation, self.impulse = simulation, np.zeros(3)
         plan, self.ranks = simulation.plan, simulation.ranks
-        self.prescribed_groups = {body.group for body in plan.driven} | {
-            group for part in plan.pins for group in part.groups
-        }
+        self.prescribed_groups = {g for g, group in enumerate(plan.groups) if group.is_carried}
         self._clear()
 
     def _clear(self) -> None:
@@ -64,12 +64,12 @@ class ParticleChanges:
         ids, values = self._checked(what, problem, ids, values, width)
         owned, mass, before = self._owned(what, ids)
         rounded = values.astype(plan.real)
-        limits = np.zeros(4)
+        own = ParticleBounds()
         for group, indices, rows in owned:
             if len(indices):
                 group.put(channel, indices, rounded[rows])
-                limits = np.maximum(limits, bounds_of_particles(plan, group, indices))
-        rate, speed, turn, stress = self.ranks.max(limits).tolist()
+                own = own.merge(bounds_of_particles(plan, group, indices))
+        rate, speed, turn, stress = self.ranks.max(np.array(own)).tolist()
         simulation.rate, was = max(simulation.rate, rate), simulation.particle_maxima
         simulation.particle_maxima = was._replace(
             speed=max(was.speed, speed), turn=max(was.turn, turn),
@@ -96,15 +96,16 @@ class ParticleChanges:
         self.force += forces.sum(0)
         self.accelerations += [(part, acceleration[part.rows]) for part in owned]
 
-    def limit_rate(self, rate: float) -> float:
+    def limit_rate(self, time: float, rate: float) -> float:
         """Return the least 1/dt [1/s] with the speeds that the forces add in a step."""
         plan = self.simulation.plan
         if not self.fastest:
             return rate
         return rate + self.fastest / (rate * min(plan.cfl, MAX_CELLS_PER_STEP) * plan.dx)
 
-    def apply_forces(self, dt: float) -> float:
-        """Apply the forces of a step of dt [s] to the velocities; return a bound of these [m/s]."""
+    def push_particles(self, span: StepSpan) -> float:
+        """Apply the forces of a step to the velocities; return a bound [m/s] of what they add."""
+        dt = span.dt
         if not self.accelerations:
             return 0.0
         for (group, indices, _), acceleration in self.accelerations:
@@ -151,6 +152,7 @@ class ParticleChanges:
         Raises:
             ValueError: On all ranks, if one is absent or moves as prescribed.
         """
+        inlets: Any = self.simulation.features.get("inlets")
         order = np.argsort(ids)
         ordered, owned, states = ids[order], [], [np.zeros((0, 6))]
         for g, group in enumerate(self.simulation.groups if len(ids) else ()):
@@ -161,7 +163,7 @@ class ParticleChanges:
             owned.append(part)
             mass = group.plan.density * group.get("vol0", part.indices).astype(float)
             is_prescribed = np.full(len(part.rows), g in self.prescribed_groups)
-            for carried in self.simulation.sources.carried if self.simulation.sources else ():
+            for carried in inlets.carried if inlets is not None else ():
                 is_prescribed |= (carried.group is group) & np.isin(part.indices, carried.indices)
             v = group.get("v", part.indices)
             states.append(np.column_stack([part.rows, is_prescribed, mass, v]))

@@ -1,6 +1,7 @@
 """A run as a script sees and steers it."""
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -201,9 +202,13 @@ class Run:
                 f"engine {CARD} sets no velocities and adds no forces; engine cpu does"
             )
         simulation = self.simulation
-        if simulation.changes is None:
-            simulation.changes = ParticleChanges(simulation)
-        return simulation.changes
+        changes: Any = simulation.features.get("particle_changes")
+        if changes is None:
+            changes = ParticleChanges(simulation)
+            features = {"particle_changes": changes, **simulation.features}  # it acts first
+            simulation.features.clear()
+            simulation.features.update(features)
+        return changes
 
     def stop(self, frame: bool = False) -> None:
         """End the run before its next step, with a checkpoint if it has a folder.

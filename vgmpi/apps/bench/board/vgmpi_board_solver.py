@@ -65,7 +65,8 @@ class Solver:
     def state(self) -> tuple[np.ndarray, np.ndarray]:
         """Return positions from the tank's corner and velocities, (n, 3) each [m], [m/s]."""
         x, v = by_id(self.simulation, "x", "v")
-        if self.simulation.bodies is not None:  # the center of the block is the last row
-            bodies = self.simulation.bodies.bodies
+        rigid: Any = self.simulation.features.get("rigid_bodies")
+        if rigid is not None:  # the center of the block is the last row
+            bodies = rigid.bodies
             x, v = np.concatenate([x, bodies.x[:1]]), np.concatenate([v, bodies.v[:1, :3]])
         return x - self.corner, v

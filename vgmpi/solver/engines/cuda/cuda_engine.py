@@ -14,13 +14,14 @@ from vgmpi.kernels.kernel_arguments import (
     Step,
 )
 from vgmpi.kernels.rigid.prescribed_motion import ROTATED_CHANNELS
+from vgmpi.kernels.step_records import AccumulatorOverflow, StepReport
 from vgmpi.kernels.transfer import g2p
 from vgmpi.kernels.transfer.particle_shifting import NodeFill, ShiftConstants
 from vgmpi.parallel.block_lattice import BITS
 from vgmpi.parallel.exchange_topology import ExchangeTopology, color_field_name
 from vgmpi.parallel.halo_exchange import FieldMessage
 from vgmpi.solver.engines.cpu import Cpu
-from vgmpi.solver.engines.engine_protocol import DITHER, AccumulatorOverflow, StepReport
+from vgmpi.solver.engines.engine_protocol import DITHER
 from vgmpi.solver.engines.group_context import GroupContext, auxiliary_gather_kind
 
 from . import gather_kernels, grid_kernels, scatter_kernels, thread_block, translation_types
@@ -29,7 +30,7 @@ from .device_memory import CardLayer, Copies, card_room, flattened, to_card, to_
 from .graphics_card import with_device_context
 from .grid_kernels import NODES
 from .kernel_launch import Launcher
-from .particle_intrinsics import PARTICLE
+from .particle_intrinsics import CARRIED, PARTICLE, STRAY, TURNING
 from .scalar_math import constants, polynomials
 from .step_record import FINE, RecordBuffer, StepRecord
 from .translation import KernelTranslator
@@ -311,7 +312,7 @@ class Cuda(Cpu):
                 self.wholes.launch(
                     count, PARTICLE, gather_kernels.advect_prescribed, work.all, work.segments,
                     copy(group.block), group.on_card(MOVED, flat=False), plan.phase,
-                    self.copies.refreshed(self.driven.ways), to_card(rotated), self.plan.dx,
+                    self.copies.refreshed(self.driven.motions), to_card(rotated), self.plan.dx,
                     self.dt,
                     motion, self.record.prescribed_maxima, self.record.failure,
                 )  # fmt: skip
@@ -349,11 +350,11 @@ class Cuda(Cpu):
         failure, failed = int(report.failure[0]), []
         if failure < FINE:
             failed = [divmod(failure, 8)]
-        speed = self.plan.dx * max(float(displacement / dt) if dt else 0.0, prescribed[4])
+        speed = self.plan.dx * max(float(displacement / dt) if dt else 0.0, prescribed[CARRIED])
         stress = float(report.peaks[0])
-        bounds = speed, math.sqrt(max(float(gradient2), prescribed[5])), math.sqrt(stress)
+        bounds = speed, math.sqrt(max(float(gradient2), prescribed[TURNING])), math.sqrt(stress)
         return StepReport(
-            rate, max(float(stray), prescribed[1]), bounds, failed, self._overflows(report)
+            rate, max(float(stray), prescribed[STRAY]), bounds, failed, self._overflows(report)
         )
 
     @with_device_context
@@ -379,7 +380,7 @@ class Cuda(Cpu):
         return self._found_beyond()
 
     @with_device_context
-    def given(self) -> np.ndarray:
+    def take_reactions(self) -> np.ndarray:
         """Return the reactions summed since the last call, shape (rows, 7) int64."""
         assert self.reactions is not None
         sums = self.reactions.by_thread[0].sums

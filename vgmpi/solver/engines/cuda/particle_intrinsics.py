@@ -23,6 +23,7 @@ from .scalar_math import PLAIN
 from .translation_types import TranslationMode, constants
 
 PATCH = particle_records.PATCH
+FASTEST, STRAY, QUICK, STRETCHING, CARRIED, TURNING = range(6)  # columns of a thread's maxima
 REAL = None
 
 
@@ -225,8 +226,9 @@ def note(report, number, reason):
         number: Id.
         reason: Code of g2p.
     """
-    if number * 8 + reason < report[1][0]:
-        report[1][0] = number * 8 + reason
+    _, lowest = report
+    if number * 8 + reason < lowest[0]:
+        lowest[0] = number * 8 + reason
 
 
 def record_maxima(report, fastest, stray, quick, stretching, carried, turning, motion, dx):
@@ -242,10 +244,13 @@ def record_maxima(report, fastest, stray, quick, stretching, carried, turning, m
         turning: Squared norm of the velocity gradient [1/s^2].
         motion, dx: Not used on the GPU.
     """
-    maxima = report[0]
-    maxima[0], maxima[1] = max(maxima[0], fastest), max(maxima[1], stray)
-    maxima[2], maxima[3] = max(maxima[2], quick), max(maxima[3], stretching)
-    maxima[4], maxima[5] = max(maxima[4], carried), max(maxima[5], turning)
+    maxima, _ = report
+    maxima[FASTEST] = max(maxima[FASTEST], fastest)
+    maxima[STRAY] = max(maxima[STRAY], stray)
+    maxima[QUICK] = max(maxima[QUICK], quick)
+    maxima[STRETCHING] = max(maxima[STRETCHING], stretching)
+    maxima[CARRIED] = max(maxima[CARRIED], carried)
+    maxima[TURNING] = max(maxima[TURNING], turning)
 
 
 def record_prescribed(report, stray, speed, squared):
@@ -257,9 +262,10 @@ def record_prescribed(report, stray, speed, squared):
         speed: Speed [m/s].
         squared: Squared norm of the velocity gradient [1/s^2].
     """
-    cuda.atomic.max(report[0], 1, stray)
-    cuda.atomic.max(report[0], 4, speed)
-    cuda.atomic.max(report[0], 5, squared)
+    maxima, _ = report
+    cuda.atomic.max(maxima, STRAY, stray)
+    cuda.atomic.max(maxima, CARRIED, speed)
+    cuda.atomic.max(maxima, TURNING, squared)
 
 
 TEAMWORK = {

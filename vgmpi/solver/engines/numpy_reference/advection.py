@@ -8,12 +8,13 @@ from vgmpi.kernels.kernel_arguments import (
     MAX_CELLS_PER_STEP,
     MAX_VOLUME_STRAIN_PER_STEP,
 )
+from vgmpi.kernels.step_records import StepReport
 from vgmpi.kernels.transfer import g2p
 from vgmpi.materials.material import law_function
 from vgmpi.parallel.block_lattice import BLOCK_EDGE
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.plan import Plan
-from vgmpi.solver.engines.engine_protocol import DITHER, StepReport
+from vgmpi.solver.engines.engine_protocol import DITHER
 
 from .group_channels import get_channel
 

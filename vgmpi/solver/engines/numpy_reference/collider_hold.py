@@ -40,13 +40,13 @@ class ColliderHold:
             return
         if engine.movers is not None:
             self.sources.append(self._collider())
-        for q in np.flatnonzero(contact.ways.driven):
+        for q in np.flatnonzero(contact.motions.driven):
             size = np.linalg.norm(offset[q], axis=-1)
             is_near = (mass[q] > contact.least[q]) & (size > 0.0)
             if contact.plan.phases[q].surface and is_near.any():
                 normal = offset[q] / np.where(is_near, size, 1.0)[..., None]
                 distance = volume[q] / np.where(is_near, mass[q], 1.0)
-                row = np.full(contact.shape, contact.ways.row[q])
+                row = np.full(contact.shape, contact.motions.row[q])
                 self.sources.append(_Source(is_near, normal, distance, v[q].copy(), row))
 
     def _collider(self) -> _Source:

@@ -65,14 +65,14 @@ class Contact:
         self.friction = np.zeros((0, 0))
         self.near = np.zeros(dense.shape, bool)  # nodes close to a collider that is no free body
         self.is_free = np.zeros(0, bool)  # of the colliders, or empty
-        self.pinned: np.ndarray | None = None  # (phases, ...) bool: next to a pinned part
+        self.reserved: np.ndarray | None = None  # (phases, ...) bool: features attach it
         self.thin: ThinWalls | None = None
         self.planes, self.active_planes = np.zeros(dense.shape, int), plan.planes
         self._count_planes()
         self.least = np.array([CONTACT_MASS_FLOOR * phase.least for phase in plan.phases])
         self.walls = dense
         self.whose = np.zeros(dense.shape, int)
-        self.ways = NO_PRESCRIBED_BODIES  # motion of prescribed bodies
+        self.motions = NO_PRESCRIBED_BODIES  # motion of prescribed bodies
         self.given: ReactionSums | None = None  # set where reactions are requested
 
     def set_rigid(
@@ -190,8 +190,8 @@ class Contact:
     def _prescribed_of(self, a: int, b: int, u: np.ndarray) -> tuple:
         """Return the prescribed body of two phases as in `_pairs`; u: (phases, 3) [m/s]."""
         for phase, sign in ((a, 1.0), (b, -1.0)):
-            if len(self.ways.driven) and self.ways.driven[phase]:
-                return int(self.ways.row[phase]), u[phase].copy(), np.zeros(4), sign
+            if len(self.motions.driven) and self.motions.driven[phase]:
+                return int(self.motions.row[phase]), u[phase].copy(), np.zeros(4), sign
         return NO_CONTACT
 
     def _pairs(self, node, phases, sides, u):
@@ -241,8 +241,8 @@ class Contact:
             for b in phases:
                 if plan.phases[b].driven:
                     continue
-                if acts_on_fluid and self.pinned is not None and self.pinned[b, *node]:
-                    continue  # colliders do not touch bodies next to pinned parts
+                if acts_on_fluid and self.reserved is not None and self.reserved[b, *node]:
+                    continue  # colliders do not touch bodies there
                 if sides[b].is_present and (acts_on_fluid or plan.phases[b].meets_walls_by_contact):
                     outward, depth = np.array(n), distance
                     if acts_on_fluid and self.thin is not None:

@@ -17,9 +17,9 @@ from vgmpi.kernels.transfer.particle_shifting import (
     WALL_GAP_CELLS,
     ShiftConstants,
 )
+from vgmpi.parallel.block_lattice import position_limits
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.plan import Plan
-from vgmpi.solver.engines.plan_tables import position_limits
 from vgmpi.solver.engines.shift_tables import node_fill
 
 from .dense_grid import Dense, Stencil

@@ -6,10 +6,11 @@ from vgmpi.kernels.rigid.prescribed_motion import (
     EFFECTIVE_MASS_FACTOR,
     PrescribedSteps,
 )
+from vgmpi.kernels.step_records import StepReport
 from vgmpi.kernels.transfer.g2p import OUT_OF_DOMAIN
 from vgmpi.parallel.block_lattice import BLOCK_CENTER, BLOCK_EDGE
 from vgmpi.parallel.particle_group import ParticleGroup
-from vgmpi.solver.engines.engine_protocol import DITHER, StepReport
+from vgmpi.solver.engines.engine_protocol import DITHER
 
 
 def prescribe(

@@ -6,15 +6,18 @@ segments with a separate stress impulse (the tables); there are no patches, repr
 compiled code. Jiang 2015 (APIC), Hu 2018, Zhu and Bridson 2005 (FLIP).
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+from vgmpi.features.active_feature import ActiveFeature, NodeState, carrier_of, reserved_nodes
 from vgmpi.kernels.grid.mixture_coupling import MIN_POROSITY
 from vgmpi.kernels.kernel_arguments import NODE_MASS_FLOOR
 from vgmpi.kernels.rigid.moving_colliders import MovingColliders
 from vgmpi.kernels.rigid.prescribed_motion import PrescribedBodies
 from vgmpi.kernels.rigid.static_colliders import StaticColliders
+from vgmpi.kernels.step_records import AccumulatorOverflow, StepReport
 from vgmpi.kernels.transfer.auxiliary_gather import OVERFILL_RELAXATION_RATE
 from vgmpi.kernels.transfer.particle_shifting import ShiftConstants
 from vgmpi.materials.material import law_function
@@ -23,7 +26,6 @@ from vgmpi.parallel.exchange_topology import ExchangeTopology
 from vgmpi.parallel.halo_exchange import FieldMessage
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.plan import Plan
-from vgmpi.solver.engines.engine_protocol import AccumulatorOverflow, StepReport
 
 from .advection import advect
 from .cell_dilatation import cell_divergence, sum_cell_pressure, with_divergence
@@ -63,10 +65,10 @@ class Numpy(SurfaceNodes):
     ):  # fmt: skip
         super().__init__(plan, Dense(plan))
         self.driven = driven
-        self.pins: Any = None  # pinned parts of bodies, set by the simulation
+        self.features: Mapping[str, ActiveFeature] = {}  # of the run, set by the simulation
         self.groups = [ParticleGroup(group, lattice, plan.real) for group in plan.groups]
         self.contact = Contact(plan, self.dense)
-        self.contact.ways = self.contact.ways if driven is None else driven.ways
+        self.contact.motions = self.contact.motions if driven is None else driven.motions
         self.contact.is_free = getattr(solids, "is_free", self.contact.is_free)
         self.thin: ThinWalls | None = None
         self.movers = solids if isinstance(solids, MovingColliders) else None
@@ -95,12 +97,12 @@ class Numpy(SurfaceNodes):
         """Start to sum reactions.
 
         Args:
-            rows, quanta, rank: See `Engine.enable_reactions`.
+            rows, quanta, rank: See `EngineServices.enable_reactions`.
         """
         self.sums = self.contact.given = ReactionSums(self.plan, self.dense, rows, quanta)
         self.sum_reactions(rows, quanta, rank)
 
-    def given(self) -> np.ndarray:
+    def take_reactions(self) -> np.ndarray:
         """Return the reactions summed since the last call, shape (rows, 7) int64."""
         assert self.sums is not None
         return self.sums.take() + self.take_reactions()
@@ -156,7 +158,7 @@ class Numpy(SurfaceNodes):
             self.sums.mass.clear()
         self.stencils = [stencil_of(group, self.plan.dx) for group in self.groups]
         for g, group in enumerate(self.groups):
-            if not group.plan.pinned:
+            if not group.plan.carrier:
                 self._contribute(group, self.stencils[g], self.split[g])
         for p in range(n):
             record, fold = self.record, self.dense.fold
@@ -249,7 +251,7 @@ class Numpy(SurfaceNodes):
             some = mass[..., None] > 0
         heavy = mass.copy()
         if self.driven is not None:
-            prescribe(v, heavy, self.driven.ways, dense.points(), plan.dx)
+            prescribe(v, heavy, self.driven.motions, dense.points(), plan.dx)
         slope = np.where(some, self.shear / np.where(some, mass[..., None], 1.0), 0.0)
         self.contact_count = self.contact.apply(v, mass, heavy, self.offset, volume, slope, self.dt)
         holds = [ColliderHold(self, p, v, mass, volume) for p in range(len(v))]
@@ -267,19 +269,20 @@ class Numpy(SurfaceNodes):
             self._blend(plan.colors.set_of)
 
     def _place_colliders(self) -> None:
-        """Tell the contact where moving colliders, thin walls and pinned parts are."""
+        """Tell the contact where moving colliders, thin walls and attached nodes are."""
         if self.thin is not None:
             self.thin.place()
             self.contact.set_rigid(self.thin.collider, self.thin.whose, self.thin.moves)
         elif self.movers is not None:
             table, points = self.movers.table, self.dense.points()
             self.contact.set_rigid(*nearest_collider(table, points, self.dt, self.plan.dx))
-        if self.pins is not None:
-            self.contact.pinned = self.dense_marks(self.pins.marks)
+        if (marks := reserved_nodes(self.features)) is not None:
+            self.contact.reserved = self.dense_marks(marks)
 
-    def begin_coupling(self) -> None:
-        """Copy what kernels of rigid surfaces need to node blocks."""
+    def begin_coupling(self) -> NodeState:
+        """Copy what couplings need to node blocks, and return these."""
         self.copy_to_blocks(self.v, self.mass, self.offset, self.volume)
+        return self.node_state()
 
     def end_coupling(self) -> None:
         """Copy the velocities that these kernels have changed from node blocks."""
@@ -311,10 +314,11 @@ class Numpy(SurfaceNodes):
                 self.dense.mirror(fields[p], p, recorder)
         reports = [self._gather(*each, step) for each in zip(self.groups, self.stencils, self.split,
                                                              strict=True)]  # fmt: skip
-        failed = [row for report in reports for row in report.wrong]
-        rate, stray = (max(getattr(r, name) for r in reports) for name in ("rate", "far"))
+        failed = [row for report in reports for row in report.failures]
+        rate, stray = (max(getattr(r, name) for r in reports) for name in ("rate", "stray"))
         # Turn and stress only serve the quanta of sums, which do not exist here.
-        bounds = max(r.reach[0] for r in reports), 0.0, 0.0
+        speeds, _, _ = zip(*(report.bounds for report in reports), strict=True)
+        bounds = max(speeds), 0.0, 0.0
         return StepReport(rate, stray, bounds, failed, [])
 
     def restore(self, times: int) -> list[AccumulatorOverflow]:
@@ -341,9 +345,9 @@ class Numpy(SurfaceNodes):
         if not len(split):
             return StepReport(0.0, 0.0, (0.0,) * 3, [], [])
         if plan.is_carried:
-            carrier: Any = self.pins if plan.pinned else self.driven
+            carrier: Any = carrier_of(self.features, plan.carrier) or self.driven
             row = -1 if carrier is None else carrier.row_of_group(self.groups.index(group), p)
-            return carry(group, carrier.ways, row, dense.dx, self.dt, step)
+            return carry(group, carrier.motions, row, dense.dx, self.dt, step)
         for k in range(plan.coefficients):
             color = get_channel(group, "color")
             color[:, 3 * k : 3 * k + 3] = dense.gather(self.hues[k, p], stencil)[:, :3]

@@ -1,12 +1,13 @@
 """Nodes next to rigid surfaces, in the layout of the kernels that couple them with the grid.
 
-Slip, free rigid bodies and pinned parts act on nodes and not on particles (kernels/rigid). Every
+Slip, free rigid bodies and other features act on nodes and not on particles (kernels/rigid). Every
 engine calls the same kernels for them. Here the dense arrays of the reference engine are copied to
 node blocks and back; the nodal fields of these kernels are sums over dense arrays as all others.
 """
 
 import numpy as np
 
+from vgmpi.features.active_feature import NodeState
 from vgmpi.kernels.grid.contact_impulses import contact_workspace
 from vgmpi.kernels.kernel_arguments import NodeBlocks, Sums
 from vgmpi.kernels.wall_boundary import KINDS
@@ -58,7 +59,7 @@ class SurfaceNodes(KernelCaller):
         """Start to sum the reactions of rigid surfaces.
 
         Args:
-            rows, quanta, rank: See `Engine.enable_reactions`.
+            rows, quanta, rank: See `EngineServices.enable_reactions`.
         """
         self.reactions = ReactionAccumulators(self.plan, rows, quanta, rank, 1)
 
@@ -129,6 +130,14 @@ class SurfaceNodes(KernelCaller):
         """Copy the velocities of node blocks to a dense array (phases, ..., 3) [m/s]."""
         nodes = self.layers["momentum"].nodes.reshape(-1, 64, 4)
         velocity[self.index] = nodes[self.inside, :3]
+
+    def node_state(self) -> NodeState:
+        """Return the node blocks for what couples them."""
+        return NodeState(
+            self.layers["momentum"].nodes, self.layers, {}, self.tables, self.blocks,
+            [np.arange(len(self.tables.at))], self.phases, self.walls,
+            [workspace.given for workspace in self.room], self.each, self.call,
+        )  # fmt: skip
 
     def dense_marks(self, marks: np.ndarray) -> np.ndarray:
         """Return marks of nodes, shape (node blocks, 64), as dense array (phases, ...) bool."""

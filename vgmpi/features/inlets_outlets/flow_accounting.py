@@ -3,33 +3,34 @@
 Totals are integers, so they depend neither on the order of the particles nor on their ranks.
 """
 
+from typing import Any
+
 import numpy as np
 
+from vgmpi.features.active_feature import ActiveFeature, StartContext
+from vgmpi.features.particle_insertion import ParticleRows
+from vgmpi.io.checkpoint import Checkpoint, Mismatch, is_count
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.parallel.particle_group import ParticleGroup
-from vgmpi.planning.plan import Plan
 from vgmpi.planning.region_groups import groups_of_particles
-
-from .particle_insertion import ParticleRows
 
 BITS = 52  # [bits] resolution of a volume below one cell; particle volumes are not finer
 LIMB, LIMBS = 31, 4  # [bits] size, and number, of the integers that carry a sum over MPI
 MASK = (1 << LIMB) - 1
 
 
-class Tally:
+class FlowAccounting(ActiveFeature):
     """This rank's contribution to the inflow and outflow totals.
 
     `part` has one row per group: particles in (at the start and since), their volume, particles
     out, their volume. Volumes are counted in units of 2**-52 cell volumes.
     """
 
-    def __init__(self, plan: Plan):
+    def __init__(self, context: StartContext):
         """Begin with zero totals."""
-        self.plan = plan
-        self.part = [[0, 0, 0, 0] for _ in plan.groups]
+        self.plan, self.ranks, self.groups = context.plan, context.ranks, context.groups
+        self.part = [[0, 0, 0, 0] for _ in self.plan.groups]
 
-    def add(self, rows: ParticleRows) -> None:
+    def count_inserted(self, rows: ParticleRows) -> None:
         """Count the particles that entered on this rank."""
         if len(rows.ids):
             group_of = groups_of_particles(self.plan, rows.ids, rows.owner)
@@ -40,16 +41,16 @@ class Tally:
         """Count particles of rest volumes (n,) [m3] that left a group."""
         self._add(group, volume, 2)
 
-    def transfer(self, group: int, joins: int, volume: np.ndarray) -> None:
+    def transfer(self, group: int, other: int, volume: np.ndarray) -> None:
         """Count particles that moved from one group to another.
 
         Args:
             group: Index of the group that they left.
-            joins: Index of the group that they joined.
+            other: Index of the group that they joined.
             volume: Rest volumes, shape (n,) [m3].
         """
         self._add(group, volume, 2)
-        self._add(joins, volume, 0)
+        self._add(other, volume, 0)
 
     def _add(self, group: int, volume: np.ndarray, first: int) -> None:
         self.part[group][first] += len(volume)
@@ -62,27 +63,44 @@ class Tally:
         high, low = int((counts >> LIMB).sum()), int((counts & MASK).sum())
         return (high << LIMB) + low
 
-    def current_totals(
-        self, groups: list[ParticleGroup], ranks: SerialCommunicator
-    ) -> list[list[int]]:
+    def current_totals(self) -> list[list[int]]:
         """Count the particles and the volume of each group at present. Collective.
 
         Returns:
             Rows [particles, volume] by group, in the units of `totals`, on every rank.
         """
         mine = []
-        for group in groups:
+        for group in self.groups:
             volume = group.get("vol0", group.index())[:, 0]
             mine.append([len(volume), self._counted(volume)])
-        return allreduce_bigint(mine, ranks)
+        return allreduce_bigint(mine, self.ranks)
 
-    def totals(self, ranks: SerialCommunicator) -> list[list[int]]:
+    def totals(self) -> list[list[int]]:
         """Return the totals of all ranks together, on every rank. Collective."""
-        return allreduce_bigint(self.part, ranks)
+        return allreduce_bigint(self.part, self.ranks)
 
-    def restore(self, totals: list[list[int]], ranks: SerialCommunicator) -> None:
-        """Restore the totals of all ranks, which rank 0 then holds."""
-        if ranks.rank == 0:
+    def saved(self) -> dict:
+        """Return the totals of all ranks. Collective."""
+        return {"flow": self.totals()}
+
+    def restore(self, saved: Checkpoint) -> None:
+        """Restore the totals of all ranks, which rank 0 then holds.
+
+        Args:
+            saved: The checkpoint.
+
+        Raises:
+            Mismatch: The totals do not fit the particles of the checkpoint.
+        """
+        totals: Any = saved.attrs.get("flow")
+        is_valid = isinstance(totals, list) and len(totals) == len(self.groups)
+        for g, row in enumerate(totals if is_valid else []):
+            is_valid = is_valid and isinstance(row, list) and len(row) == 4
+            is_valid = is_valid and all(is_count(value, 1 << 120) for value in row)
+            is_valid = is_valid and row[0] - row[2] == saved.count(f"group_{g:03d}/id")
+        if not is_valid:
+            raise Mismatch(f"{saved.path}: attrs: flow cannot be {totals!r:.60}")
+        if self.ranks.rank == 0:
             self.part = [list(row) for row in totals]
 
     def mass(self, group: int, volume: int) -> float:
@@ -91,14 +109,19 @@ class Tally:
         return float(self.plan.groups[group].density * self.plan.dx**3 * cells)
 
 
+def start(context: StartContext) -> FlowAccounting | None:
+    """Return the accounting of a run with inlets or outlets, or None."""
+    return FlowAccounting(context) if context.plan.is_open_system else None
+
+
 def allreduce_bigint(rows: list[list[int]], ranks: SerialCommunicator) -> list[list[int]]:
     """Sum integers of any size over all ranks; the result is on every rank. Collective."""
     mine = [[number >> LIMB * k & MASK for number in row for k in range(LIMBS)] for row in rows]
-    every = ranks.all_rows(np.array(mine, np.int64)[None]).sum(0).tolist()
+    all_rows = ranks.all_rows(np.array(mine, np.int64)[None]).sum(0).tolist()
     return [
         [
             sum(row[offset + k] << LIMB * k for k in range(LIMBS))
             for offset in range(0, len(row), LIMBS)
         ]
-        for row in every
+        for row in all_rows
     ]

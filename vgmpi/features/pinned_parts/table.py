@@ -2,11 +2,13 @@
 
 from typing import Annotated, Any
 
-from vgmpi.runtime.config.schema import Quantity
-from vgmpi.runtime.message_text import did_you_mean
+from pydantic import BeforeValidator
 
-from .rigid_motion import Motion, validate_motion
-from .shapes import Shape, validate_shape
+from vgmpi.runtime.config.schema import Quantity, StrictModel, as_list
+from vgmpi.runtime.message_text import did_you_mean
+from vgmpi.scene.rigid_motion import Motion, validate_motion
+from vgmpi.scene.scene_feature import Errors
+from vgmpi.scene.shapes import Shape, validate_shape
 
 WORLD = "world"
 # keys of bodies that cannot have pinned parts: nothing of them moves freely for a time
@@ -29,7 +31,15 @@ class PinnedPart(Shape):
     the velocity of its motion. Default: never"""
 
 
-def validate_pinned(raw: dict, scenery: bool) -> list[tuple[tuple, str]]:
+class ObjectKeys(StrictModel):
+    """Keys that pinned parts add to [[object]]."""
+
+    pinned: Annotated[tuple[PinnedPart, ...], BeforeValidator(as_list)] = ()
+    """bodies of solids only: a part that something holds, { box, to } for example, or a list of
+    them. The part does not deform and moves with what holds it; the rest is attached to it"""
+
+
+def validate_pinned(raw: dict, scenery: bool) -> Errors:
     """Return (path, message) for errors of the pinned parts of an object as read.
 
     Args:
@@ -40,7 +50,7 @@ def validate_pinned(raw: dict, scenery: bool) -> list[tuple[tuple, str]]:
         return []
     if scenery:
         return [(("pinned",), "is not for scenery: it has no mass and does not move")]
-    errors: list[tuple[tuple, str]] = []
+    errors: Errors = []
     for key in EXCLUDED_KEYS:
         if raw.get(key) not in (None, False):
             errors.append((("pinned",), f"{key} and pinned given at once: give one"))
@@ -65,18 +75,15 @@ def validate_pinned(raw: dict, scenery: bool) -> list[tuple[tuple, str]]:
     return errors
 
 
-def validate_pinned_parts(
-    objects: list, materials: dict, couplings: list, accuracy: Any
-) -> list[tuple[tuple, str]]:
+def validate_pinned_parts(objects: list, materials: dict, accuracy: Any) -> Errors:
     """Return (path, message) for what a scene with pinned parts cannot have.
 
     Args:
         objects: Objects of the scene.
         materials: Materials by their names, None in place of invalid ones.
-        couplings: Couplings of its materials, unused.
         accuracy: Table `accuracy`, or None.
     """
-    errors: list[tuple[tuple, str]] = []
+    errors: Errors = []
     by_name = {obj.name: obj for obj in objects}
     for k, obj in enumerate(objects):
         if not obj.pinned:

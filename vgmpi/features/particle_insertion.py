@@ -1,10 +1,12 @@
-"""Insertion of particles into a rank: from rows in SI units to the channels of their groups."""
+"""Insertion and removal of particles: from rows in SI units to the channels of their groups."""
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 
 from vgmpi.kernels.kernel_arguments import MAX_CELLS_PER_STEP, MAX_VOLUME_STRAIN_PER_STEP
+from vgmpi.kernels.step_records import ParticleBounds
 from vgmpi.materials.material import law_function
 from vgmpi.parallel import migration
 from vgmpi.parallel.block_lattice import BlockLattice
@@ -33,9 +35,10 @@ class ParticleRows(NamedTuple):
         return ParticleRows(*parts)
 
 
-def insert(
-    plan: Plan, lattice: BlockLattice, groups: list[ParticleGroup], rows: ParticleRows, sides=None
-) -> np.ndarray:
+def insert_particles(
+    plan: Plan, lattice: BlockLattice, groups: list[ParticleGroup], rows: ParticleRows,
+    features: Iterable,
+) -> ParticleBounds:  # fmt: skip
     """Insert particles into the groups of this rank; a sort must follow.
 
     Args:
@@ -43,24 +46,25 @@ def insert(
         lattice: Block lattice of the domain.
         groups: Particle groups (in/out).
         rows: Particles to insert.
-        sides: Sides of thin walls (wall_sides.WallSides), or None.
+        features: Features of the run (ActiveFeature), which may choose other groups.
 
     Returns:
-        Bounds of the time step and the sums, shape (4,), see `bounds`.
+        Bounds of the time step and the sums.
     """
     group_of = groups_of_particles(plan, rows.ids, rows.owner)
-    if sides is not None:
-        group_of = sides.groups_of_points(group_of, rows.x)
-    limits = np.zeros(4)
+    for feature in features:
+        group_of = feature.assign_groups(group_of, rows.x)
+    bounds = ParticleBounds()
     for g, group in enumerate(groups):
         selected = rows.select(group_of == g)
         block, xi = lattice.place(selected.x, plan.real)
         channels, states = _channels(plan, group.plan, selected, len(xi[0]))
         if len(selected.x):
             gradients = selected.C if selected.C is not None else np.zeros((1, 9))
-            limits = np.maximum(limits, bounds(plan, group.plan, states, selected.v, gradients))
+            own = bounds_of(plan, group.plan, states, selected.v, gradients)
+            bounds = bounds.merge(own)
         migration.append_particles(group, block, xi, channels, selected.ids)
-    return limits
+    return bounds
 
 
 def _channels(
@@ -87,7 +91,9 @@ def _channels(
     return values, states
 
 
-def bounds(plan: Plan, group: GroupPlan, states: list, v: np.ndarray, C: np.ndarray) -> np.ndarray:
+def bounds_of(
+    plan: Plan, group: GroupPlan, states: list, v: np.ndarray, C: np.ndarray
+) -> ParticleBounds:
     """Bound the time step and the nodal sums for particles of one group.
 
     Args:
@@ -96,9 +102,6 @@ def bounds(plan: Plan, group: GroupPlan, states: list, v: np.ndarray, C: np.ndar
         states: Constitutive states in which particles begin.
         v: Velocities, shape (n, 3) [m/s].
         C: Velocity gradients, shape (n, 9) [1/s].
-
-    Returns:
-        (rate, speed, turn, stress), see ParticleMaxima; rate is the least 1/dt [1/s].
     """
     law, dx, cfl = group.law, plan.dx, plan.cfl
     wave2 = group.bound(max(law_function(law, "wave_speed2")(law, state) for state in states))
@@ -107,11 +110,11 @@ def bounds(plan: Plan, group: GroupPlan, states: list, v: np.ndarray, C: np.ndar
     rate = max((wave + speed) / (cfl * dx), speed / (MAX_CELLS_PER_STEP * dx))
     rate = max(rate, float(np.abs(C[:, 0] + C[:, 4] + C[:, 8]).max()) / MAX_VOLUME_STRAIN_PER_STEP)
     stress = float(max(tau)) / (group.density * group.pores)
-    return np.array([rate, speed, float(np.sqrt((C**2).sum(1)).max()), stress])
+    return ParticleBounds(rate, speed, float(np.sqrt((C**2).sum(1)).max()), stress)
 
 
-def bounds_of_particles(plan: Plan, group: ParticleGroup, indices: np.ndarray) -> np.ndarray:
-    """Return `bounds` for particles (n,) of a group in their present states."""
+def bounds_of_particles(plan: Plan, group: ParticleGroup, indices: np.ndarray) -> ParticleBounds:
+    """Return `bounds_of` for particles (n,) of a group in their present states."""
     law, state = group.plan.law, group.law_state(indices)
     wave2 = np.broadcast_to(law_function(law, "wave_speed2")(law, state), len(indices))
     tau = np.abs(
@@ -119,10 +122,10 @@ def bounds_of_particles(plan: Plan, group: ParticleGroup, indices: np.ndarray) -
     )
     worst = {int(np.argmax(wave2)), int(np.argmax(np.broadcast_to(tau.sum(0), len(indices))))}
     states = [tuple(row[k] for row in state) for k in sorted(worst)]
-    return bounds(plan, group.plan, states, group.get("v", indices), group.get("C", indices))
+    return bounds_of(plan, group.plan, states, group.get("v", indices), group.get("C", indices))
 
 
-def bounds_of_idle_group(plan: Plan) -> np.ndarray:
+def bounds_of_idle_group(plan: Plan) -> ParticleBounds:
     """Return the bounds for a state without any particle.
 
     A particle of the first group at its reference state stands in, moving at its wave speed.
@@ -130,7 +133,30 @@ def bounds_of_idle_group(plan: Plan) -> np.ndarray:
     group = plan.groups[0]
     wave2 = float(law_function(group.law, "wave_speed2")(group.law, group.rest))
     v = np.array([[np.sqrt(group.bound(wave2)), 0.0, 0.0]])
-    return bounds(plan, group, [group.rest], v, np.zeros((1, 9)))
+    return bounds_of(plan, group, [group.rest], v, np.zeros((1, 9)))
+
+
+def remove_particles(group: ParticleGroup, indices: np.ndarray) -> None:
+    """Remove particles from their segments; the others move up in order.
+
+    Freed slots are cleared as a sort leaves them. Segments stay until the next sort, even if they
+    are empty: the exchange tables follow from the segments, here and in a run that restarts from a
+    checkpoint.
+
+    Args:
+        group: Particle group (in/out).
+        indices: Indices of the particles to remove, shape (n,).
+    """
+    segment_of = group.segment_of(indices)
+    segments = np.unique(segment_of)
+    old_slots = group.places(segments)
+    survivors = old_slots[~np.isin(old_slots, indices)]
+    group.count = group.count - np.bincount(segment_of, minlength=len(group.count))
+    new_slots = group.places(segments)
+    freed_slots = np.setdiff1d(old_slots, new_slots, assume_unique=True)
+    for rows, blank in ((group.xi, 0), (group.f, 0), (group.ids[None], -1)):
+        rows[:, new_slots] = rows[:, survivors]  # the right-hand side is a copy
+        rows[:, freed_slots] = blank
 
 
 def _ends(values: np.ndarray) -> list[float]:

@@ -5,39 +5,45 @@ find the bodies' velocities; then the nodes take their impulses, and the bodies 
 Contact of the bodies among each other, with colliders and with walls follows on every rank.
 """
 
+from typing import Any
+
 import numpy as np
 
+from vgmpi.features.active_feature import (
+    ActiveFeature,
+    NodeState,
+    StartContext,
+    reserved_nodes,
+)
+from vgmpi.io.checkpoint import Checkpoint
 from vgmpi.kernels.reproducible_sums import next_power_of_two
 from vgmpi.kernels.rigid import body_contact, body_nodes, free_coupling
 from vgmpi.kernels.rigid.contact_search import contact_search, find_pairs
 from vgmpi.kernels.rigid.contact_sweeps import solve_contacts
 from vgmpi.kernels.rigid.jointed_bodies import jointed_bodies
-from vgmpi.kernels.rigid.moving_colliders import MovingColliders
 from vgmpi.kernels.rigid.surface_points import surface_points
-from vgmpi.parallel.communicator import SerialCommunicator
+from vgmpi.kernels.step_records import StepSpan
 from vgmpi.parallel.exchange_topology import NEAR_BODIES, ExchangeTopology, counting_owner
-from vgmpi.planning.plan import Plan
-
-from .pinned_coupling import PinnedParts
 
 MAX_ROUNDS = 6  # of sums over the ranks in a step
 HEADROOM = 16.0  # [-] factor on the mass that fills the domain, and on a cell per step
 SUM_BITS, IMPULSE_BITS = 58, 61  # [bits] range of the whole numbers
 POINTS_PER_BODY = 40  # points in contact for which a table has room
+NO_NODES = np.zeros((0, 64), np.uint8)
 WARM_NAMES = "body", "other", "place", "impulse"  # of the points whose impulses the next step takes
 
 
-class FreeBodyCoupling:
+class RigidBodies(ActiveFeature):
     """Coupling of the free bodies among the moving colliders with the particles of a rank."""
 
-    def __init__(
-        self, plan: Plan, movers: MovingColliders, engine, ranks: SerialCommunicator,
-        pins: PinnedParts | None = None,
-    ):  # fmt: skip
+    couples_nodes = True
+
+    def __init__(self, context: StartContext):
         """Set up the points of the bodies' surfaces and the range of the sums."""
-        self.pins = pins if pins is not None and (pins.holder >= 0).any() else None
-        assert movers.free is not None
-        self.plan, self.movers, self.engine, self.ranks = plan, movers, engine, ranks
+        plan, movers = context.plan, context.movers
+        self.features = context.features
+        self.holders: list[Any] = [f for f in self.features.values() if f.attaches_to_bodies]
+        self.plan, self.movers, self.ranks = plan, movers, context.ranks
         self.bodies, count = movers.free, len(movers.free.rows)
         self.joints = jointed_bodies(plan.joints, movers)
         self.number_of = np.full(len(movers.colliders), -1)
@@ -47,7 +53,6 @@ class FreeBodyCoupling:
         self.slip = self._slip_law()
         self.contacts = body_nodes.no_contacts(1024, len(self.slip.length) > 0)
         self.tables: ExchangeTopology | None = None
-        self.no_pins = np.zeros((0, 64), np.uint8)
         self.near, self.counts = np.zeros(0, np.int64), np.zeros((0, 64), np.uint8)
         self.points = body_contact.contact_points(POINTS_PER_BODY * count)
         self.points_before, self.touching = body_contact.contact_points(0), 0
@@ -59,51 +64,56 @@ class FreeBodyCoupling:
         volume = float(np.prod(size + plan.dx))
         self.most = HEADROOM * volume * max(phase.most for phase in plan.phases) / plan.dx**3
 
-    def advance(self, dt: float, gravity: np.ndarray) -> None:
+    def couple_nodes(self, nodes: NodeState, span: StepSpan, gravity: np.ndarray) -> None:
         """Advance the bodies by a step, and change the velocities of the nodes that touch them.
 
         Args:
-            dt: Time step [s].
+            nodes: Nodes of the rank.
+            span: The step.
             gravity: Acceleration, shape (3,) [m/s2].
         """
-        bodies = self.bodies
+        bodies, dt = self.bodies, span.dt
         if self.joints is not None:
             self.joints.begin_step(self.movers.table, dt)
         bodies.momentum += dt * bodies.mass[:, None] * gravity
         bodies.set_velocities()
-        self._couple(dt)
-        self._collide(dt)
+        self._couple(nodes, dt)
+        self._collide(nodes, dt)
         bodies.move(dt)
 
-    @property
-    def departed(self) -> str:
-        """Name of the first body whose center has left the domain, or an empty text."""
+    def failure(self) -> str:
+        """Return the name of the first body whose center has left the domain, or an empty text."""
         x, size = self.bodies.x, np.array(self.plan.cells) * self.plan.dx
         rows = np.flatnonzero(~((x >= 0.0) & (x <= size)).all(1))
         return self.movers.colliders[self.bodies.rows[rows[0]]].name if len(rows) else ""
 
+    def conserved(self, time: float) -> dict[str, float]:
+        """Return mass, momenta and energies of the bodies at a time [s]."""
+        return self.bodies.conserved(self.plan.gravity_at(time))
+
     def saved(self) -> dict:
-        """Return the state that a checkpoint stores: bodies, and their points in contact."""
+        """Return the bodies, and their points in contact."""
         rows = slice(self.touching)
         points = {name: getattr(self.points_before, name)[rows].tolist() for name in WARM_NAMES}
         joints = {} if self.joints is None else {"joints": self.joints.saved()}
-        return {"bodies": self.bodies.saved(), "points": points} | joints
+        return {"bodies": {"bodies": self.bodies.saved(), "points": points} | joints}
 
-    def restore(self, saved: dict) -> None:
-        """Restore a saved state."""
-        self.bodies.restore(saved["bodies"])
+    def restore(self, saved: Checkpoint) -> None:
+        """Restore the bodies, their joints and the points in contact."""
+        state: Any = saved.attrs["bodies"]
+        self.bodies.restore(state["bodies"])
         if self.joints is not None:
-            self.joints.restore(saved["joints"])
-        self.touching = len(saved["points"]["body"])
+            self.joints.restore(state["joints"])
+        self.touching = len(state["points"]["body"])
         self.points_before = body_contact.contact_points(self.touching)
-        for name, values in saved["points"].items():
+        for name, values in state["points"].items():
             target = getattr(self.points_before, name)
             target[:] = np.array(values, target.dtype).reshape(target.shape)
 
-    def _couple(self, dt: float) -> None:
+    def _couple(self, nodes: NodeState, dt: float) -> None:
         """Solve the bodies together with the nodes that touch them. Collective."""
-        engine, bodies = self.engine, self.bodies
-        count = self._find_contacts(dt)
+        bodies = self.bodies
+        count = self._find_contacts(nodes, dt)
         speed = self.plan.dx / dt * HEADROOM
         mass = float(next_power_of_two(self.most)) * 2.0**-SUM_BITS
         arm, fast = (float(next_power_of_two(v)) for v in (self.arm, speed))
@@ -127,7 +137,7 @@ class FreeBodyCoupling:
         impulses = np.zeros((len(bodies.rows), 6, 2), np.int64)
         units = np.array([unit, unit * arm])
         free_coupling.apply_impulses(
-            count, self.contacts, bodies.v, engine.layers["momentum"].nodes, units, impulses
+            count, self.contacts, bodies.v, nodes.velocities, units, impulses
         )
         impulses = self.ranks.sum(impulses)
         total = impulses[..., 0] + impulses[..., 1] * free_coupling.REMAINDER
@@ -146,34 +156,34 @@ class FreeBodyCoupling:
         lengths = np.array(slip.lengths)[self.bodies.rows]
         return body_nodes.SlipLaw(lengths, np.array(slip.viscosities))
 
-    def _find_contacts(self, dt: float) -> int:
+    def _find_contacts(self, nodes: NodeState, dt: float) -> int:
         """Find the nodes of this rank that touch bodies; return their number."""
-        engine, bodies = self.engine, self.bodies
-        if self.tables is not engine.tables:
-            self.tables = engine.tables
+        bodies = self.bodies
+        if self.tables is not nodes.tables:
+            self.tables = nodes.tables
             self.near = np.flatnonzero(self.tables.solid >= 0)
             self.counts = counting_owner(self.tables, self.ranks.rank)
-        layers = engine.layers
-        fields = tuple(layers[name].tables for name in NEAR_BODIES)
+        fields = tuple(nodes.fields[name].tables for name in NEAR_BODIES)
+        marks = reserved_nodes(self.features)
         coupled = body_nodes.CoupledBodies(self.number_of, bodies.x, self.friction, self.slip)
-        nodes = body_nodes.NodesNearBodies(
+        near = body_nodes.NodesNearBodies(
             self.movers.table, self.near, self.movers.nodes, self.movers.whose, self.counts,
-            layers["momentum"].nodes, layers["offsets"].nodes, fields,
-            self.no_pins if self.pins is None else self.pins.marks,
+            nodes.velocities, nodes.fields["offsets"].nodes, fields,
+            NO_NODES if marks is None else marks,
         )  # fmt: skip
         while True:
             count = 0
-            if self.pins is not None:
-                count = self.pins.find_contacts(engine, bodies.x, self.counts, self.contacts)
+            for holder in self.holders:
+                count = holder.find_contacts(nodes, bodies.x, self.counts, self.contacts)
             count = body_nodes.find_contacts(
-                nodes, engine.blocks, coupled, engine.phases, engine.walls, dt, self.plan.dx,
+                near, nodes.blocks, coupled, nodes.phases, nodes.walls, dt, self.plan.dx,
                 self.contacts, count,
             )  # fmt: skip
             if count <= len(self.contacts.mass):
                 return count
             self.contacts = body_nodes.no_contacts(2 * count, len(self.slip.length) > 0)
 
-    def _collide(self, dt: float) -> None:
+    def _collide(self, nodes: NodeState, dt: float) -> None:
         """Let the bodies meet each other, colliders and walls."""
         bodies, plan = self.bodies, self.plan
         table = body_contact.BodyTable(
@@ -185,7 +195,7 @@ class FreeBodyCoupling:
         pairs = find_pairs(self.search, table, self.movers.table, self.number_of, reach, plan.dx)
         while True:
             count = body_contact.find_wall_contacts(
-                self.surface, self.search, table, size, self.engine.walls, reach, plan.dx,
+                self.surface, self.search, table, size, nodes.walls, reach, plan.dx,
                 self.points, 0,
             )  # fmt: skip
             count = body_contact.find_body_contacts(
@@ -210,19 +220,7 @@ class FreeBodyCoupling:
         bodies.spin[:] = (inertia * bodies.v[:, None, 3:]).sum(2)
 
 
-def free_body_coupling(
-    plan: Plan, movers: MovingColliders | None, engine, ranks: SerialCommunicator,
-    pins: PinnedParts | None = None,
-) -> FreeBodyCoupling | None:  # fmt: skip
-    """Return the coupling of the scene's free bodies, or None if it has none.
-
-    Args:
-        plan: Plan of the run.
-        movers: Moving colliders, or None.
-        engine: Engine.
-        ranks: Communicator.
-        pins: Pinned parts, or None.
-    """
-    if movers is None or movers.free is None:
-        return None
-    return FreeBodyCoupling(plan, movers, engine, ranks, pins)
+def start(context: StartContext) -> RigidBodies | None:
+    """Return the free rigid bodies of a run, or None if it has none."""
+    has_bodies = context.movers is not None and context.movers.free is not None
+    return RigidBodies(context) if has_bodies else None

@@ -1,20 +1,22 @@
 """Pinned parts of bodies at the start: their particles, their surface and what holds them."""
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from vgmpi.gaussians.shape_distance import distance
 from vgmpi.kernels.rigid.free_bodies import RigidBody
-from vgmpi.scene.pinned_parts import WORLD, PinnedPart
+from vgmpi.preprocess.load_targets import index_runs
+from vgmpi.preprocess.object_builder import spacing_of
+from vgmpi.preprocess.shape_sdf import contains
 from vgmpi.scene.rigid_motion import Trajectory
 from vgmpi.scene.scene import Scene
+from vgmpi.scene.scene_feature import InitialParticles
 
-from .load_targets import index_runs
-from .object_builder import spacing_of
-from .shape_sdf import contains
+from .table import WORLD, PinnedPart
 
 log = logging.getLogger("vgmpi")
 SURROUNDINGS_CELLS = 3  # [cells] around its particles within which a part has a surface
@@ -22,7 +24,7 @@ BURIED_CELLS = 0.5  # [cells] depth in what holds a part beyond which other part
 UNRELATED_CELLS = 2.0  # [cells] distance from what holds it beyond which a part is warned of
 
 
-class PinnedShare(NamedTuple):
+class MaterialParticles(NamedTuple):
     """Particles of one material in a pinned part."""
 
     material: str
@@ -44,7 +46,7 @@ class PinnedRegion:
     holder: int  # number of the collider or rigid body that holds it, -1 for the world
     is_free: bool  # a free rigid body holds it
     shape: PinnedPart
-    shares: tuple[PinnedShare, ...]  # its particles by material
+    by_material: tuple[MaterialParticles, ...]  # its particles by material
     box: np.ndarray  # (2, 3) [m] lower and upper corner of the particles
     masses: RigidBody  # its mass, center of mass and inertia
     first: np.ndarray  # (3,) first cell of `close`
@@ -57,7 +59,7 @@ class PinnedRegion:
     @property
     def count(self) -> int:
         """Return the number of its particles."""
-        return sum(share.particles for share in self.shares)
+        return sum(part.particles for part in self.by_material)
 
     def ends(self) -> tuple[np.ndarray, np.ndarray]:
         """Return lower and upper corner (3,) [m] of a box that contains its particles."""
@@ -74,21 +76,13 @@ class PinnedRegion:
 
 
 def resolve_pinned_parts(
-    scene: Scene,
-    x: np.ndarray,
-    vol0: np.ndarray,
-    owner: np.ndarray,
-    objects: list[dict],
-    colliders: list,
+    scene: Scene, particles: InitialParticles, colliders: list
 ) -> list[PinnedRegion]:
     """Return the pinned parts of a scene with their particles.
 
     Args:
         scene: The scene.
-        x: Particles at the start in the order of their ids, shape (n, 3) [m].
-        vol0: Rest volumes, shape (n,) [m3].
-        owner: Object of each particle, shape (n,).
-        objects: Entries of the objects and inlets in output files.
+        particles: Particles at the start.
         colliders: Colliders of the scene at the start.
 
     Raises:
@@ -96,7 +90,9 @@ def resolve_pinned_parts(
     """
     regions: list[PinnedRegion] = []
     errors: list[tuple[tuple, str]] = []
-    for k, obj in enumerate(scene.object):
+    x, owner = particles.x, particles.owner
+    bodies: tuple[Any, ...] = scene.object
+    for k, obj in enumerate(bodies):
         rows = np.flatnonzero(owner == k) if obj.pinned else np.zeros(0, np.int64)
         free, spacing = rows, spacing_of(scene, obj) if obj.pinned else 0.0
         for number, part in enumerate(obj.pinned):
@@ -106,7 +102,7 @@ def resolve_pinned_parts(
                 errors.append((("object", k, "pinned", number), message))
                 continue
             chosen, free = free[inside], free[~inside]
-            regions.append(_region(scene, k, part, objects[k], chosen, x, vol0, colliders))
+            regions.append(_region(scene, k, part, particles, chosen, colliders))
             _warn_of_buried_particles(obj.name, regions[-1], colliders, x[free])
         if obj.pinned and len(rows) and not len(free):
             message = f"holds all particles of '{obj.name}': use rigid = true, or motion"
@@ -116,19 +112,23 @@ def resolve_pinned_parts(
     return regions
 
 
-def _region(scene, k, part, entry, chosen, x, vol0, colliders) -> PinnedRegion:
+def _region(
+    scene: Scene, k: int, part: PinnedPart, particles: InitialParticles, chosen: np.ndarray,
+    colliders: list,
+) -> PinnedRegion:  # fmt: skip
     """Return one pinned part.
 
     Args:
         scene: The scene.
         k: Row of the body.
         part: The part.
-        entry: Entry of the body in output files.
+        particles, colliders: See `resolve_pinned_parts`.
         chosen: Ids of its particles, shape (m,).
-        x, vol0, colliders: See `resolve_pinned_parts`.
     """
-    obj, dx, own = scene.object[k], scene.domain.cell, x[chosen]
-    shares, density = _material_shares(scene, entry, chosen, len(x))
+    obj, dx, own, vol0 = scene.object[k], scene.domain.cell, particles.x[chosen], particles.vol0
+    by_material, density = _particles_by_material(
+        scene, particles.entries[k], chosen, len(particles.x)
+    )
     cell = np.floor(own / dx).astype(np.int64)
     first = cell.min(0) - SURROUNDINGS_CELLS
     close = np.zeros(cell.max(0) + SURROUNDINGS_CELLS + 1 - first, bool)
@@ -149,14 +149,14 @@ def _region(scene, k, part, entry, chosen, x, vol0, colliders) -> PinnedRegion:
         _warn_if_unrelated(obj.name, part, colliders[holder], own, dx)
     return PinnedRegion(
         obj.name, k, part.to, holder, holder >= 0 and colliders[holder].body is not None, part,
-        shares, np.array([own.min(0), own.max(0)]), masses, first, close,
+        by_material, np.array([own.min(0), own.max(0)]), masses, first, close,
         dx, course, release_time=part.release_time or np.inf,
     )  # fmt: skip
 
 
-def _material_shares(
+def _particles_by_material(
     scene: Scene, entry: dict, chosen: np.ndarray, count: int
-) -> tuple[tuple[PinnedShare, ...], np.ndarray]:
+) -> tuple[tuple[MaterialParticles, ...], np.ndarray]:
     """Return the particles of a part by material, and their bulk densities (m,) [kg/m3].
 
     Args:
@@ -172,13 +172,13 @@ def _material_shares(
         first = region["first_row"]
         is_inside = (chosen >= first) & (chosen < first + region["row_count"])
         number[is_inside] = names.index(region["material"])
-    shares = []
+    by_material = []
     for m in np.unique(number):
         mask = np.zeros(count, bool)
         mask[chosen[number == m]] = True
-        shares.append(PinnedShare(names[m], index_runs(mask), int(mask.sum())))
+        by_material.append(MaterialParticles(names[m], index_runs(mask), int(mask.sum())))
     densities = np.array([scene.material[name].bulk_density for name in names], float)
-    return tuple(shares), densities[number]
+    return tuple(by_material), densities[number]
 
 
 def _point_masses(x: np.ndarray, volume: np.ndarray, density: np.ndarray) -> RigidBody:
@@ -192,9 +192,9 @@ def _point_masses(x: np.ndarray, volume: np.ndarray, density: np.ndarray) -> Rig
     mass = density * volume
     center = (mass[:, None] * x).sum(0) / mass.sum()
     r = x - center
-    spread = (mass[:, None, None] * r[:, :, None] * r[:, None, :]).sum(0)
-    spread += np.eye(3) * (mass * np.cbrt(volume) ** 2).sum() / 12.0  # particles are cubes
-    inertia = np.trace(spread) * np.eye(3) - spread
+    second_moment = (mass[:, None, None] * r[:, :, None] * r[:, None, :]).sum(0)
+    second_moment += np.eye(3) * (mass * np.cbrt(volume) ** 2).sum() / 12.0  # particles are cubes
+    inertia = np.trace(second_moment) * np.eye(3) - second_moment
     return RigidBody(float(mass.sum()), center, inertia, 0.0, 0.0, (0.0,) * 3, (0.0,) * 3)
 
 
@@ -229,7 +229,7 @@ def _warn_of_buried_particles(
         )  # fmt: skip
 
 
-def with_pinned_masses(colliders: list, regions: list[PinnedRegion]) -> list:
+def with_pinned_masses(colliders: list, regions: Sequence[PinnedRegion]) -> list:
     """Return the colliders; free rigid bodies include the masses of the parts that they hold.
 
     Args:

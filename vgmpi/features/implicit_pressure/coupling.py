@@ -6,18 +6,19 @@ and a second one the displacements that spread what crowds; particles take both 
 See docs/explanation/implicit-pressure.md.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from vgmpi.features.active_feature import ActiveFeature, NodeState, StartContext
 from vgmpi.kernels.grid import pressure_system
 from vgmpi.kernels.grid.pressure_system import Lattice, PressureFields
-from vgmpi.parallel.block_lattice import BLOCK_EDGE, BlockLattice
+from vgmpi.kernels.step_records import StepSpan
+from vgmpi.parallel.block_lattice import BLOCK_EDGE
 from vgmpi.parallel.block_ownership import BlockDirectory
 from vgmpi.parallel.cell_exchange import CellExchange, cell_topology
-from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.exchange_topology import PARTICLE_PRESSURE, ExchangeTopology
-from vgmpi.planning.plan import Plan
 from vgmpi.runtime.aligned_arrays import aligned_zeros
 
 MAX_EIGENVALUE = 8.0 / 3.0  # of the system in space, each row over its diagonal
@@ -53,12 +54,15 @@ def chebyshev_factors(sweeps: Sweeps) -> list[tuple[float, float]]:
     return factors
 
 
-class ImplicitPressure:
+class ImplicitPressure(ActiveFeature):
     """Implicit pressure at the nodes of a rank."""
 
-    def __init__(self, plan: Plan, lattice: BlockLattice, engine, ranks: SerialCommunicator):
+    couples_nodes = True
+
+    def __init__(self, context: StartContext):
         """Take the constants of a plan, which has one liquid of one density."""
-        self.plan, self.lattice, self.engine, self.ranks = plan, lattice, engine, ranks
+        plan = self.plan = context.plan
+        self.lattice, self.ranks, self.threads = context.lattice, context.ranks, context.threads
         group = next(group for group in plan.groups if group.implicit_pressure)
         self.mass_of_cell = group.density * plan.dx**3
         # relative pressure of a particle per potential of a cell and inverse time step
@@ -75,7 +79,7 @@ class ImplicitPressure:
               for name in PressureFields._fields)
         )  # fmt: skip
 
-    def set_tables(self, tables: ExchangeTopology, census: BlockDirectory) -> None:
+    def set_topology(self, tables: ExchangeTopology, census: BlockDirectory) -> None:
         """Take new tables after a sort.
 
         Args:
@@ -108,38 +112,44 @@ class ImplicitPressure:
         )
         self.blocks = count
 
-    def apply(self, dt: float) -> None:
-        """Change the velocities of the nodes in a step of dt [s], and find the displacements."""
-        engine, fields, plan = self.engine, self.fields, self.plan
+    def couple_nodes(self, nodes: NodeState, span: StepSpan, gravity: np.ndarray) -> None:
+        """Change the velocities of the nodes in a step, and find the displacements.
+
+        Args:
+            nodes: Nodes of the rank.
+            span: The step.
+            gravity: Acceleration, shape (3,) [m/s2].
+        """
+        self.nodes, fields, plan, dt = nodes, self.fields, self.plan, span.dt
         assert self.exchange is not None
-        velocity, pressure = (engine.layers[name].nodes for name in ("momentum", PARTICLE_PRESSURE))
-        walls, real, blocks = engine.walls, plan.real.type, engine.block_shares.all
+        velocity, pressure = nodes.velocities, nodes.fields[PARTICLE_PRESSURE].nodes
+        walls, real, blocks = nodes.walls, plan.real.type, nodes.block_rows
         self._each(
             blocks, pressure_system.set_nodes, self.grid, walls.cells, walls.kinds, velocity,
             pressure, self.mass_of_cell, plan.dx, fields,
         )  # fmt: skip
         self._each(blocks, pressure_system.set_cells, self.grid, real(dt * self.stiffness), fields)
         self.exchange.exchange(fields.filled)
-        cells, nodes = self._find_wet_blocks()
+        cells, wet = self._find_wet_blocks()
         self.exchange.exchange(fields.phi)
-        self._solve(cells, nodes, 0)
-        self._each(nodes, pressure_system.respond, self.grid, fields)
-        self._each(nodes, pressure_system.add_velocities, plan.dx, fields, velocity)
+        self._solve(cells, wet, 0)
+        self._each(wet, pressure_system.respond, self.grid, fields)
+        self._each(wet, pressure_system.add_velocities, plan.dx, fields, velocity)
         scale = real(1.0 / (dt * self.stiffness))
-        self._each(nodes, pressure_system.store_node_pressure, self.grid, scale, fields)
+        self._each(wet, pressure_system.store_node_pressure, self.grid, scale, fields)
         count = 64 * self.blocks
         fields.cover[:count] = fields.filled[:count] + self.beyond
         fields.phi[:] = 0
         self._each(cells, pressure_system.set_excess, self.grid, fields)
-        self._solve(cells, nodes, 1)
-        self._each(nodes, pressure_system.respond, self.grid, fields)
-        moves = engine.beside["displacement"]
+        self._solve(cells, wet, 1)
+        self._each(wet, pressure_system.respond, self.grid, fields)
+        moves = nodes.gathered["displacement"]
         moves[:] = 0
-        self._each(nodes, pressure_system.store_moves, fields, moves)
+        self._each(wet, pressure_system.store_moves, fields, moves)
 
     def _find_wet_blocks(self) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Return the blocks that have cells with pressure, and those next to them, by thread."""
-        count, threads = self.blocks, self.engine.threads
+        count, threads = self.blocks, self.threads
         wet = np.zeros(len(self.fields.filled) // 64, bool)
         wet[:count] = (self.fields.filled[: 64 * count].reshape(count, 64) > 0).any(1)
         reached = wet[self.grid.low.reshape(count, 8)].any(1)
@@ -151,7 +161,7 @@ class ImplicitPressure:
         """Relax a system from phi on; phi is known on all cells around those of this rank."""
         factors = self.sweeps[system]
         assert self.exchange is not None
-        if self.engine.threads == 1 or sum(map(len, cells)) < SHARED_BLOCKS:
+        if self.threads == 1 or sum(map(len, cells)) < SHARED_BLOCKS:
             cells, nodes = [np.concatenate(cells)], [np.concatenate(nodes)]
             if not self.exchange.has_neighbors:  # one call in place of many
                 self._each(cells, pressure_system.sweep, nodes[0], self.grid, factors, self.fields)
@@ -161,26 +171,17 @@ class ImplicitPressure:
             self._each(cells, pressure_system.relax, self.grid, weight, inertia, self.fields)
             self.exchange.exchange(self.fields.phi)
 
-    def _each(self, rows: list[np.ndarray], kernel, *arguments) -> None:
+    def _each(self, rows: Sequence[np.ndarray], kernel, *arguments) -> None:
         """Call a kernel with the rows of each thread, or here with those of a single one."""
         if len(rows) == 1:
             self._call(0, rows, kernel, arguments)
         else:
-            self.engine.each(self._call, rows, kernel, arguments)
+            self.nodes.each(self._call, rows, kernel, arguments)
 
-    def _call(self, thread: int, rows: list[np.ndarray], kernel, arguments: tuple) -> None:
-        self.engine.call_if_rows((), kernel, rows[thread], *arguments)
+    def _call(self, thread: int, rows: Sequence[np.ndarray], kernel, arguments: tuple) -> None:
+        self.nodes.call(kernel, rows[thread], *arguments)
 
 
-def make_implicit_pressure(
-    plan: Plan, lattice: BlockLattice, engine, ranks: SerialCommunicator
-) -> ImplicitPressure | None:
-    """Return the implicit pressure of a plan, or None.
-
-    Args:
-        plan: Plan of the run.
-        lattice: Lattice of the blocks.
-        engine: Engine.
-        ranks: Communicator.
-    """
-    return ImplicitPressure(plan, lattice, engine, ranks) if plan.implicit_pressure else None
+def start(context: StartContext) -> ImplicitPressure | None:
+    """Return the implicit pressure of a run, or None."""
+    return ImplicitPressure(context) if context.plan.implicit_pressure else None

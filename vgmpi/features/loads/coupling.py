@@ -1,54 +1,56 @@
 """Body forces and impulses of a run, applied to the loaded particles of this rank."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
+from vgmpi.features.active_feature import ActiveFeature, StartContext
+from vgmpi.kernels.kernel_arguments import MAX_CELLS_PER_STEP
+from vgmpi.kernels.step_records import StepSpan
 from vgmpi.kernels.transfer.apply_loads import damp, push
-from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.particle_group import ParticleGroup
-from vgmpi.planning.plan import Plan
 from vgmpi.preprocess.load_targets import ResolvedLoad
 from vgmpi.scene.rigid_motion import spin_tensor
 
 
-class Pushes:
+class Loads(ActiveFeature):
     """Loads acting on the particles of this rank.
 
-    Call `find` after every sort and `apply` before every particle-to-grid transfer. The result has
-    the same bits on any number of ranks: each particle is pushed on its own, or about a center of
-    mass that is summed in the order of the segments.
+    They are applied before every particle-to-grid transfer. The result has the same bits on any
+    number of ranks: each particle is pushed on its own, or about a center of mass that is summed in
+    the order of the segments.
     """
 
-    def __init__(self, loads: list[ResolvedLoad], plan: Plan, ranks: SerialCommunicator):
-        """Hold the loads; `find` locates their particles."""
-        self.loads, self.plan, self.ranks = loads, plan, ranks
+    def __init__(self, context: StartContext):
+        """Hold the loads; `find_particles` locates their particles."""
+        self.loads: Sequence[ResolvedLoad] = context.loads
+        self.plan, self.ranks, self.groups = context.plan, context.ranks, context.groups
         self.places: list[list[np.ndarray]] = []  # particle indices of each load in each group
-        self.dv = np.zeros(3, plan.real)
+        self.dv = np.zeros(3, self.plan.real)
 
-    def find(self, groups: list[ParticleGroup]) -> None:
+    def find_particles(self, time: float) -> None:
         """Locate the particles of each load in the groups."""
-        indexed = [(group, group.index()) for group in groups]
+        indexed = [(group, group.index()) for group in self.groups]
         self.places = [
             [indices[within(group.ids[indices], load.ids)] for group, indices in indexed]
             for load in self.loads
         ]
 
-    def apply(self, groups: list[ParticleGroup], time: float, end: float, dt: float) -> float:
-        """Apply the loads of one time step to the particle velocities. Collective.
+    def limit_rate(self, time: float, rate: float) -> float:
+        """Return 1 / dt [1/s] with the impulsive velocity changes within that step."""
+        plan, speed = self.plan, self.impulsive_speed_ahead(time, 1.0 / rate)
+        return rate + speed / (min(plan.cfl, MAX_CELLS_PER_STEP) * plan.dx)
 
-        Args:
-            groups: Particle groups (in/out).
-            time: Time at the start of the step [s].
-            end: Time at the end of the step [s].
-            dt: Time step [s].
+    def push_particles(self, span: StepSpan) -> float:
+        """Apply the loads of one time step to the particle velocities.
 
         Returns:
             Upper bound of the velocity change [m/s], the same on all ranks.
         """
-        bound = 0.0
+        groups, bound = self.groups, 0.0
         for loaded, indices in zip(self.loads, self.places, strict=True):
-            amount = loaded.load.amount(time, end, dt)
+            amount = loaded.load.amount(span.start, span.end, span.dt)
             if amount == 0.0:
                 continue
             if loaded.load.damping is not None:
@@ -119,13 +121,12 @@ class Pushes:
         total = self.ranks.bcast(total)
         return total[1:] / total[0]
 
-    def impulsive_speed_ahead(self, groups: list[ParticleGroup], time: float, dt: float) -> float:
+    def impulsive_speed_ahead(self, time: float, dt: float) -> float:
         """Return an upper bound [m/s] of the impulsive velocity changes within dt.
 
         It is the same on all ranks.
 
         Args:
-            groups: Particle groups.
             time: Current time [s].
             dt: Length of the interval [s].
         """
@@ -140,7 +141,7 @@ class Pushes:
                     * math.hypot(*self.plan.cells)
                 )
             else:
-                bound += max(math.hypot(*strength(loaded, g.plan.density)) for g in groups)
+                bound += max(math.hypot(*strength(loaded, g.plan.density)) for g in self.groups)
         return bound
 
     def total_impulse(self, t0: float, t1: float) -> np.ndarray:
@@ -149,6 +150,11 @@ class Pushes:
         for loaded in self.loads:
             total += loaded.load.amount(t0, t1, t1 - t0) * np.array(loaded.total)
         return total
+
+
+def start(context: StartContext) -> Loads | None:
+    """Return the loads of a run, or None if it has none."""
+    return Loads(context) if context.loads else None
 
 
 def strength(loaded: ResolvedLoad, density: float) -> tuple[float, float, float]:

@@ -1,32 +1,32 @@
 """Releases: prescribed bodies join the groups in which they move freely, and walls vanish."""
 
+from typing import Any
+
 import numpy as np
 
-from vgmpi.parallel.communicator import SerialCommunicator
+from vgmpi.features.active_feature import ActiveFeature, StartContext
+from vgmpi.features.particle_insertion import bounds_of_particles, remove_particles
+from vgmpi.kernels.step_records import ParticleBounds, StepMaxima, StepSpan
 from vgmpi.parallel.migration import append_particles
 from vgmpi.parallel.particle_group import ParticleGroup
-from vgmpi.planning.plan import Plan
-from vgmpi.planning.prescribed_bodies import PrescribedBodyPlan, ReleaseLayer
+from vgmpi.planning.prescribed_bodies import TIME_TOLERANCE, PrescribedBodyPlan, ReleaseLayer
 from vgmpi.scene.rigid_motion import Trajectories, Trajectory, spin_tensor
-from vgmpi.solver.engines.engine_protocol import Engine
-
-from .flow_accounting import Tally
-from .outlets import remove
-from .particle_insertion import bounds_of_particles
-
-TIME_TOLERANCE = 1.0 + 1e-12  # [-] ratio below which two times count as equal
 
 
-class Releases:
+class Releases(ActiveFeature):
     """Scheduled releases of a run.
 
     They depend on the time alone, so all ranks release together. A sort must follow a release.
     """
 
-    def __init__(self, plan: Plan, tally: Tally | None, engine: Engine):
+    def __init__(self, context: StartContext):
         """Sort the release layers by time."""
-        self.plan, self.tally, self.engine = plan, tally, engine
-        bodies = [*plan.driven, *_released_parts(plan)]
+        plan = self.plan = context.plan
+        self.ranks, self.groups, self.engine = context.ranks, context.groups, context.engine
+        self.flow: Any = context.features.get("flow_accounting")
+        self.has_released = False  # in the present step
+        parts = [part for feature in plan.features for part in feature.released_parts()]
+        bodies = [*plan.driven, *parts]
         self.layers = sorted(
             ((layer, body) for body in bodies for layer in body.layers),
             key=lambda pair: pair[0].time,
@@ -44,7 +44,7 @@ class Releases:
             if opens is not None and opens <= time * TIME_TOLERANCE:
                 self.engine.open(wall)
 
-    def next_landing(self, time: float, goal: float) -> float:
+    def next_event(self, time: float, goal: float) -> float:
         """Return the time [s], at most `goal`, at which the time steps must land next."""
         next_release = self.next(time)
         return next_release if next_release * TIME_TOLERANCE < goal else goal
@@ -53,45 +53,53 @@ class Releases:
         """Return whether something is released after `before` and not after `time` [s]."""
         return self.next(before) <= time * TIME_TOLERANCE
 
-    def release(
-        self, groups: list[ParticleGroup], before: float, time: float, ranks: SerialCommunicator
-    ) -> np.ndarray:
-        """Release the bodies and walls that are due. Collective.
+    def adjust_bounds(self, span: StepSpan, bounds: ParticleBounds) -> ParticleBounds:
+        """Release the bodies and walls that are due; include the bounds of their particles."""
+        self.has_released = self.due(span.start, span.end)
+        if not self.has_released:
+            return bounds
+        self.correction_origin, released = span.number, ParticleBounds()
+        self.open_walls(span.end)
+        for layer, body in self.layers:
+            if span.start * TIME_TOLERANCE < layer.time <= span.end * TIME_TOLERANCE:
+                released = released.merge(self._release_layer(self.groups, layer, body))
+        return bounds.merge(ParticleBounds(*self.ranks.max(np.array(released)).tolist()))
+
+    def needs_sort(self, span: StepSpan, maxima: StepMaxima) -> bool:
+        """Return whether something was released in the step."""
+        return self.has_released
+
+    def saved(self) -> dict:
+        """Return the step of the last release."""
+        return {"since": self.correction_origin}
+
+    def place_saved(self, attrs: dict, time: float) -> None:
+        """Open the walls that have vanished, and restore the step of the last release.
 
         Args:
-            groups: Particle groups (in/out).
-            before: Time at the start of the step [s].
-            time: Time at its end [s].
-            ranks: Communicator.
-
-        Returns:
-            Bounds of time steps and sums for the released particles, shape (4,), see
-            particle_insertion.bounds.
+            attrs: Attributes of the checkpoint.
+            time: Time of the checkpoint [s].
         """
-        limits = np.zeros(4)
+        self.correction_origin = attrs.get("since", 0)
         self.open_walls(time)
-        for layer, body in self.layers:
-            if before * TIME_TOLERANCE < layer.time <= time * TIME_TOLERANCE:
-                limits = np.maximum(limits, self._release_layer(groups, layer, body))
-        return ranks.max(limits)
 
     def _release_layer(
         self, groups: list[ParticleGroup], layer: ReleaseLayer, body: PrescribedBodyPlan
-    ) -> np.ndarray:
+    ) -> ParticleBounds:
         """Move the particles of a release layer to the group that their body joins.
 
         Returns:
-            Their bounds, see particle_insertion.bounds.
+            Their bounds.
         """
-        group, target = groups[body.group], groups[body.joins]
+        group, target = groups[body.group], groups[body.group_after_release]
         indices = group.index()
         height = group.positions_at(indices)[:, 2]
         indices = indices[(layer.low <= height) & (height < layer.high)]
         if not len(indices):
-            return np.zeros(4)
+            return ParticleBounds()
         if body.course is not None:
             _launch(group, indices, body.course, layer.time)
-        elif group.plan.pinned:  # a load may have changed what nothing reads
+        elif group.plan.carrier:  # a load may have changed what nothing reads
             group.put("v", indices, np.zeros((len(indices), 3)))
             group.put("C", indices, np.zeros((len(indices), 9)))
         block = group.block[group.segment_of(indices)]
@@ -101,12 +109,17 @@ class Releases:
             group.ids[indices],
         )  # these are copies
         limits = bounds_of_particles(self.plan, group, indices)
-        remove(group, indices)
+        remove_particles(group, indices)
         append_particles(target, block, xi, channels, ids)
-        if self.tally is not None:
+        if self.flow is not None:
             volume = channels[group.plan.channels["vol0"].first]
-            self.tally.transfer(body.group, body.joins, volume)
+            self.flow.transfer(body.group, body.group_after_release, volume)
         return limits
+
+
+def start(context: StartContext) -> Releases | None:
+    """Return the releases of a run, or None if nothing is released."""
+    return Releases(context) if context.plan.has_releases else None
 
 
 def _launch(group: ParticleGroup, indices: np.ndarray, course: Trajectory, time: float) -> None:
@@ -116,18 +129,3 @@ def _launch(group: ParticleGroup, indices: np.ndarray, course: Trajectory, time:
     x = group.positions_at(indices) - (np.array(course.about) + displacement)
     group.put("v", indices, v + np.cross(spin, x))
     group.put("C", indices, np.tile(spin_tensor(spin), (len(indices), 1)))
-
-
-def _released_parts(plan: Plan) -> list[PrescribedBodyPlan]:
-    """Return the pinned parts that let go at a time, by groups, as bodies that are released."""
-    parts = []
-    for part in plan.pins:
-        if (time := part.region.release_time) == np.inf:
-            continue
-        layers = (ReleaseLayer(time, -np.inf, np.inf),)
-        for group, joins in zip(part.groups, part.joins, strict=True):
-            body = PrescribedBodyPlan(
-                (part.object,), group, joins, part.region.course, (0.0,) * 3, 0.0, layers
-            )
-            parts.append(body)
-    return parts

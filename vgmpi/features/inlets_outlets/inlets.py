@@ -11,15 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vgmpi.features.active_feature import ActiveFeature, StartContext
+from vgmpi.features.particle_insertion import ParticleRows, bounds_of, bounds_of_idle_group
 from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
+from vgmpi.kernels.step_records import ParticleBounds, StepMaxima, StepReport, StepSpan
 from vgmpi.parallel.block_lattice import BITS, BLOCK_CENTER, BLOCK_EDGE
-from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.inlet_schedule import InletPlan
-from vgmpi.planning.plan import Plan
-from vgmpi.solver.engines.engine_protocol import StepReport
-
-from .particle_insertion import ParticleRows, bounds
 
 STATIC_CHANNELS = ("vol0", "color", "surface")  # channels that a nozzle particle keeps
 
@@ -47,33 +45,50 @@ class _Carried(NamedTuple):
         )
 
 
-class Sources:
-    """Inlets of a run.
+class Inlets(ActiveFeature):
+    """Inlets of a run."""
 
-    Call `find` after every sort, `advect_nozzle` after every step, `reset_nozzle` after
-    every zero-length step, and `spawn` before a sort whenever a layer is `due`.
-    """
-
-    def __init__(self, plan: Plan, ranks: SerialCommunicator):
+    def __init__(self, context: StartContext):
         """Compute the bounds that hold while an inlet is active."""
-        self.plan, self.ranks = plan, ranks
+        self.plan, self.ranks, self.groups = context.plan, context.ranks, context.groups
+        self.insert = context.insert
         self.carried: list[_Carried] = []
-        self.active_bounds = np.zeros(4)  # bounds (particle_insertion.bounds) of active inlets
+        self.active_bounds, plan = ParticleBounds(), self.plan  # bounds of active inlets
         for source in plan.sources:
             group, v = plan.groups[source.group], source.velocity[None]
-            limits = bounds(plan, group, [group.rest], v, np.zeros((1, 9)))
-            self.active_bounds = np.maximum(self.active_bounds, limits)
+            own = bounds_of(plan, group, [group.rest], v, np.zeros((1, 9)))
+            self.active_bounds = self.active_bounds.merge(own)
         self.last_passage = max(source.mouth_time(source.particles - 1) for source in plan.sources)
 
-    def merge_bounds(self, limits: np.ndarray, time: float) -> np.ndarray:
-        """Merge bounds (rate, speed, turn, stress) of the particles with those of active inlets."""
-        return np.maximum(limits, self.active_bounds) if time <= self.last_passage else limits
+    def initial_particles(self, rows: list[ParticleRows]) -> list[ParticleRows]:
+        """Return the particles at the start: without those to come, with those of first layers."""
+        count = self.plan.initial_particle_count
+        return [*(each.select(each.ids < count) for each in rows), *self.spawn(None, 0.0)]
 
-    def find(self, groups: list[ParticleGroup], time: float) -> None:
+    def begin_run(self, bounds: ParticleBounds) -> ParticleBounds:
+        """Return the bounds of the particles and of active inlets at the start."""
+        return self._merge_bounds(bounds, 0.0)
+
+    def adjust_bounds(self, span: StepSpan, bounds: ParticleBounds) -> ParticleBounds:
+        """Return the bounds of the particles, or of an idle group, and of active inlets."""
+        bounds = bounds if bounds.rate else bounds_of_idle_group(self.plan)
+        return self._merge_bounds(bounds, span.end)
+
+    def _merge_bounds(self, bounds: ParticleBounds, time: float) -> ParticleBounds:
+        return bounds.merge(self.active_bounds) if time <= self.last_passage else bounds
+
+    def needs_sort(self, span: StepSpan, maxima: StepMaxima) -> bool:
+        """Insert the layers that are due; return whether there are any."""
+        is_due = self.due(span.start, span.end)
+        if is_due:
+            self.insert(self.spawn(span.start, span.end))
+        return is_due
+
+    def find_particles(self, time: float) -> None:
         """Locate the particles in the nozzles."""
         self.carried = []
         for source in self.plan.sources:
-            group = groups[source.group]
+            group = self.groups[source.group]
             first = source.first + source.released(time)
             last = source.first + source.spawned(time)
             indices = group.index()
@@ -82,21 +97,21 @@ class Sources:
             let_go = source.release_time(ids - source.first)
             self.carried.append(_Carried(source, group, indices, block, ids, let_go))
 
-    def advect_nozzle(self, report: StepReport, time: float) -> StepReport:
-        """Move the nozzle particles to their places at `time` [s], and release those that are due.
+    def end_step(self, span: StepSpan, report: StepReport) -> StepReport:
+        """Move the nozzle particles to their places, and release those that are due.
 
         Returns:
             The step's report, with the distance of nozzle particles from their blocks' centers.
         """
-        distance = report.far
+        distance, time = report.stray, span.end
         for carried in self.carried:
             if len(carried.indices):
                 distance = max(distance, self._set_positions(carried, time))
         self.reset_nozzle_velocity()
         self.carried = [carried.after(time) for carried in self.carried]
-        return report._replace(far=distance)
+        return report._replace(stray=distance)
 
-    def reset_nozzle(self, time: float) -> None:
+    def end_correction(self, time: float) -> None:
         """Reset what a step of no time, at `time` [s], has changed of the nozzle particles."""
         if self.plan.shift_interval:
             for carried in self.carried:
@@ -167,3 +182,8 @@ class Sources:
     def _coefficients(self) -> int:
         """Return the number of color coefficients of the group that has most."""
         return max(1, *(group.coefficients for group in self.plan.groups))
+
+
+def start(context: StartContext) -> Inlets | None:
+    """Return the inlets of a run, or None if it has none."""
+    return Inlets(context) if context.plan.sources else None

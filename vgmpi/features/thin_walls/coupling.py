@@ -6,8 +6,12 @@ Nodes outside a wall let particles approach it a little, so that some would cree
 thousands of steps: those inside a wall are pushed out.
 """
 
+from typing import Any
+
 import numpy as np
 
+from vgmpi.features.active_feature import ActiveFeature, StartContext
+from vgmpi.features.particle_insertion import remove_particles
 from vgmpi.kernels.rigid.moving_colliders import MovingColliders
 from vgmpi.kernels.rigid.shell_sampling import (
     EDGE,
@@ -15,14 +19,10 @@ from vgmpi.kernels.rigid.shell_sampling import (
     SampledShells,
     find_sides,
 )
-from vgmpi.parallel.block_lattice import BLOCK_EDGE
+from vgmpi.kernels.step_records import StepMaxima, StepSpan
+from vgmpi.parallel.block_lattice import BLOCK_EDGE, position_limits
 from vgmpi.parallel.migration import append_particles
 from vgmpi.parallel.particle_group import ParticleGroup
-from vgmpi.planning.plan import Plan
-from vgmpi.solver.engines.plan_tables import position_limits
-
-from .flow_accounting import Tally
-from .outlets import remove
 
 CHECK_INTERVAL = 4  # [steps] after which the sides of particles are compared with their places
 # [cells] depth on the other side of a wall beyond which a particle did not come through the wall
@@ -32,25 +32,24 @@ URGENT_CELLS = 4.0  # [cells] distance from a wall below which a particle must c
 _STRAY_CELLS = 3.0  # [cells] distance of a particle from the center of its block
 
 
-class WallSides:
+class ThinWalls(ActiveFeature):
     """Sides of the particles of this rank."""
 
-    def __init__(self, plan: Plan, movers: MovingColliders, groups: list, tally: Tally | None):
-        """Take the groups that have two sides.
+    has_request = True
+    margin = MAX_PUSH_CELLS
 
-        Args:
-            plan: Plan of the run; it has thin walls.
-            movers: Colliders.
-            groups: Particle groups of this rank.
-            tally: Account of open boundaries, or None.
-        """
+    def __init__(self, context: StartContext):
+        """Take the groups that have two sides."""
+        plan = context.plan
         assert plan.sides is not None
-        self.dx, self.cells, self.tally = plan.dx, plan.cells, tally
-        self.movers, self.groups = movers, groups
+        self.dx, self.cells = plan.dx, plan.cells
+        self.flow: Any = context.features.get("flow_accounting")
+        self.movers: MovingColliders = context.movers
+        self.groups = context.groups
         self.twin = plan.sides.twin_group
         self.side = [plan.sides.side[group.phase] for group in plan.groups]
 
-    def groups_of_points(self, group_of: np.ndarray, x: np.ndarray) -> np.ndarray:
+    def assign_groups(self, group_of: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Return the groups (n,) of new particles, given those on the front side of walls.
 
         Args:
@@ -61,31 +60,18 @@ class WallSides:
         twin = np.array(self.twin)[group_of]
         return np.where((kinds > 0) & (middle < 0.0) & (twin >= 0), twin, group_of)
 
-    def push_particles(self, step: int, time: float) -> bool:
-        """Push particles out of walls every few steps; return whether any must change its side.
-
-        Args:
-            step: Number of the step that has just ended.
-            time: Time at its end [s].
-        """
-        if step % CHECK_INTERVAL:
+    def request(self, span: StepSpan) -> float:
+        """Push particles out of walls every few steps; return 1 if any must change its side."""
+        if span.number % CHECK_INTERVAL:
             return False
-        self.movers.stand(time)
+        self.movers.place(span.end)
         return any([self._push_group(g) for g in self._sided_groups()])
 
-    def change(self, needed: float, time: float) -> bool:
-        """Move particles whose side has changed by a time [s], if a particle of any rank must.
-
-        Args:
-            needed: Largest result of `push_particles` of all ranks.
-            time: Time [s].
-
-        Returns:
-            Whether particles have moved to other groups, so that a sort must follow.
-        """
-        if not needed:
+    def needs_sort(self, span: StepSpan, maxima: StepMaxima) -> bool:
+        """Move particles whose side has changed, if a particle of any rank must."""
+        if not maxima.requests_of_features["thin_walls"]:
             return False
-        self.movers.stand(time)
+        self.movers.place(span.end)
         moved = [(g, self._leavers(g)) for g in self._sided_groups()]
         moved = [(g, indices) for g, indices in moved if len(indices)]
         rows = []
@@ -94,12 +80,12 @@ class WallSides:
             block = group.block[group.segment_of(indices)]
             rows.append((block, group.xi[:, indices], group.f[:, indices], group.ids[indices]))
         for g, indices in moved:
-            remove(self.groups[g], indices)
+            remove_particles(self.groups[g], indices)
         for (g, _), row in zip(moved, rows, strict=True):
             append_particles(self.groups[self.twin[g]], *row)
-            if self.tally is not None:
+            if self.flow is not None:
                 volume = row[2][self.groups[g].plan.channels["vol0"].first]
-                self.tally.transfer(g, self.twin[g], volume)
+                self.flow.transfer(g, self.twin[g], volume)
         return True
 
     def _sided_groups(self) -> list[int]:
@@ -166,15 +152,7 @@ class WallSides:
         return out
 
 
-def wall_sides(plan: Plan, movers, groups: list, tally: Tally | None) -> WallSides | None:
-    """Return the sides of a scene's thin walls, or None without thin walls.
-
-    Args:
-        plan: Plan of the run.
-        movers: Colliders, or None.
-        groups: Particle groups of this rank.
-        tally: Account of open boundaries, or None.
-    """
-    if plan.sides is None or movers is None:
-        return None
-    return WallSides(plan, movers, groups, tally)
+def start(context: StartContext) -> ThinWalls | None:
+    """Return the thin walls of a run, or None if it has none."""
+    has_sides = context.plan.sides is not None and context.movers is not None
+    return ThinWalls(context) if has_sides else None

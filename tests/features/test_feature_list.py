@@ -1,0 +1,33 @@
+"""Every feature of the lists can be imported, and no list names one twice."""
+
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+import vgmpi.features
+from vgmpi.features.start_features import AFTER_FEATURES_OF_PLAN, BEFORE_FEATURES_OF_PLAN
+from vgmpi.scene.scene_feature import FEATURES, SceneFeature, features
+
+ROOM = Path(vgmpi.features.__file__).parent
+STARTS = BEFORE_FEATURES_OF_PLAN | AFTER_FEATURES_OF_PLAN
+
+
+def test_features_of_scenes_have_names_of_their_own():
+    assert len(features()) == len(FEATURES) == len({each.name for each in features()})
+    for folder, feature in zip(FEATURES, features(), strict=True):
+        assert isinstance(feature, SceneFeature)
+        assert feature.name == folder and feature.title and not set(STARTS) & {folder}
+        keys = [key for other in features() for key in other.object_keys.model_fields]
+        assert len(keys) == len(set(keys))
+
+
+@pytest.mark.parametrize("name", STARTS)
+def test_a_feature_of_a_run_has_a_function_that_starts_it(name):
+    module, function = STARTS[name]
+    assert callable(getattr(import_module(f"vgmpi.features.{module}"), function))
+
+
+def test_every_folder_is_in_a_list():
+    folders = {path.name for path in ROOM.iterdir() if (path / "__init__.py").exists()}
+    assert folders == {*FEATURES, *(module.split(".")[0] for module, _ in STARTS.values())}

@@ -1,0 +1,230 @@
+"""Features as they act in a run: when each method is called, and what it may read and change.
+
+A step calls, in the order of `Simulation.features`,
+
+    begin_step; push_particles; [particles to grid, exchange, grid update]; couple_nodes;
+    end_coupling; [grid to particles]; end_step; request; [maxima over all ranks]; failure;
+    adjust_bounds; needs_sort
+
+A sort calls place, the feature with blocks (where it has `phases`), set_topology and
+find_particles. The start of a run calls initial_particles and begin_run, a restart restore.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from vgmpi.kernels.kernel_arguments import NodeBlocks, Walls
+from vgmpi.kernels.step_records import ParticleBounds, StepMaxima, StepReport, StepSpan
+from vgmpi.parallel.block_lattice import BlockLattice
+from vgmpi.parallel.block_ownership import BlockDirectory
+from vgmpi.parallel.communicator import SerialCommunicator
+from vgmpi.parallel.exchange_topology import ExchangeTopology
+from vgmpi.parallel.particle_group import ParticleGroup
+from vgmpi.planning.plan import Plan
+
+from .particle_insertion import ParticleRows
+
+
+class StartContext(NamedTuple):
+    """All that a feature may take when a run starts."""
+
+    plan: Plan
+    lattice: BlockLattice
+    ranks: SerialCommunicator
+    groups: list[ParticleGroup]
+    colliders: Sequence  # as prepared
+    collider_nodes: Any  # colliders at the nodes (MovingColliders, StaticColliders), or None
+    movers: Any  # colliders that are evaluated in every step (MovingColliders), or None
+    prescribed: Any  # prescribed bodies (PrescribedBodies), or None
+    loads: Sequence  # as prepared
+    threads: int
+    first_reaction_row: int  # row of its first reaction
+    features: Mapping[str, "ActiveFeature"]  # of the run; those before it have started
+    engine: "EngineServices"
+    insert: Callable[[list[ParticleRows]], ParticleBounds]  # inserts particles; a sort must follow
+    move_particles: Callable[[], None]  # to be called after particles were removed
+
+
+class EngineServices(Protocol):
+    """What features may ask of an engine; all else they do to nodes and particles."""
+
+    def open(self, wall: int) -> None:
+        """Remove a wall (0 to 5: west, east, south, north, floor, roof) that has vanished."""
+
+    def enable_reactions(self, rows: int, quanta: np.ndarray, rank: int) -> None:
+        """Start to sum the reactions of colliders and walls.
+
+        Args:
+            rows: Number of bodies: colliders, then walls.
+            quanta: Quanta of the fixed-point sums, shape (7,). They change from step to step.
+            rank: This rank.
+        """
+
+    def take_reactions(self) -> np.ndarray:
+        """Return the reactions summed on this rank since the last call.
+
+        Returns:
+            Impulse, its moment about the domain's origin, and work in quanta, shape (rows, 7)
+            int64; colliders come first, then walls.
+        """
+
+
+class NodeState(NamedTuple):
+    """Nodes of a rank after the grid update: all that a coupling may read or change."""
+
+    velocities: np.ndarray  # (node blocks, 256) velocity [m/s] and mass [kg] (in/out)
+    fields: Mapping[str, Any]  # nodal field -> its `tables` (kernel_arguments.Sums) and `nodes`
+    gathered: Mapping[str, np.ndarray]  # further values that particles gather (in/out), by name
+    tables: ExchangeTopology
+    blocks: NodeBlocks
+    block_rows: Sequence[np.ndarray]  # rows of blocks of each thread
+    phases: Any  # PhaseTable
+    walls: Walls
+    reactions: Sequence[Any]  # sums of reactions by thread (in/out), each None if none are summed
+    each: Callable  # each(task, *arguments) calls task(thread, *arguments) on every thread
+    call: Callable  # call(kernel, rows, *arguments) runs compiled code if there are rows
+
+
+class ActiveFeature:
+    """Feature of a run on one rank. Methods are collective; every one does nothing by default.
+
+    Attributes:
+        carrier: Value of `GroupPlan.carrier` of the groups whose particles it moves, or "".
+        reserved_nodes: 1 at nodes that it attaches, where colliders do not act, (node blocks, 64)
+            uint8; None if it attaches none.
+        attaches_to_bodies: Whether it attaches nodes to free rigid bodies: it has `find_contacts`.
+        phases: Phases whose fields it needs near its blocks, shape (phases,) bool.
+        couples_nodes: Whether it has `couple_nodes`.
+        has_request: Whether it has `request`.
+        is_fixed: Whether the blocks near it stay the same, so that a sort may reuse the tables.
+        correction_origin: Step from which the intervals of corrections are counted.
+        margin: Distance [cells] by which it may move particles after a step.
+    """
+
+    carrier = ""
+    reserved_nodes: np.ndarray | None = None
+    attaches_to_bodies = False
+    phases = np.zeros(0, bool)
+    couples_nodes = False
+    has_request = False
+    is_fixed = True
+    correction_origin = 0
+    margin = 0.0
+
+    # ---- start and restart -----------------------------------------------------------------------
+
+    def initial_particles(self, rows: list[ParticleRows]) -> list[ParticleRows]:
+        """Return the particles at the start, given those that it would be without the feature."""
+        return rows
+
+    def begin_run(self, bounds: ParticleBounds) -> ParticleBounds:
+        """Return the bounds of all particles at the start, which are inserted."""
+        return bounds
+
+    def saved(self) -> dict[str, Any]:
+        """Return attributes of a checkpoint with its state. Collective."""
+        return {}
+
+    def place_saved(self, attrs: dict, time: float) -> None:
+        """Stand where it stood at the last sort, before the topology is restored."""
+
+    def restore(self, saved: Any) -> None:
+        """Restore its state from a checkpoint, after the topology."""
+
+    # ---- a sort ----------------------------------------------------------------------------------
+
+    def place(self, time: float) -> None:
+        """Place it where it is at a time [s]."""
+
+    def set_topology(self, tables: ExchangeTopology, census: BlockDirectory) -> None:
+        """Take new tables."""
+
+    def find_particles(self, time: float) -> None:
+        """Find its particles, which a sort or an outlet has moved in memory."""
+
+    # ---- an insertion of particles ---------------------------------------------------------------
+
+    def assign_groups(self, group_of: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Return the groups of new particles (n,), given those of their objects.
+
+        Args:
+            group_of: Groups, shape (n,).
+            x: Positions, shape (n, 3) [m].
+        """
+        return group_of
+
+    def count_inserted(self, rows: ParticleRows) -> None:
+        """Count particles that were inserted on this rank."""
+
+    # ---- a step ----------------------------------------------------------------------------------
+
+    def limit_rate(self, time: float, rate: float) -> float:
+        """Return 1 / dt [1/s], at least `rate`, of the longest step that it allows at a time."""
+        return rate
+
+    def next_event(self, time: float, goal: float) -> float:
+        """Return the time [s], at most `goal`, at which the steps must land next."""
+        return goal
+
+    def begin_step(self, span: StepSpan) -> None:
+        """Begin a step."""
+
+    def end_correction(self, time: float) -> None:
+        """Follow a step of no time at a time [s], which has changed velocities and positions."""
+
+    def push_particles(self, span: StepSpan) -> float:
+        """Change velocities before a step; return a bound [m/s] of what it adds, also by motion."""
+        return 0.0
+
+    def couple_nodes(self, nodes: NodeState, span: StepSpan, gravity: np.ndarray) -> None:
+        """Change the velocities of nodes after all that acts at each node alone."""
+
+    def end_coupling(self, span: StepSpan) -> None:
+        """Compute what follows from the velocities that all couplings have left."""
+
+    def end_step(self, span: StepSpan, report: StepReport) -> StepReport:
+        """Follow the particles; return the report of the step."""
+        return report
+
+    def request(self, span: StepSpan) -> float:
+        """Return a number whose maximum over all ranks `needs_sort` takes."""
+        return 0.0
+
+    def failure(self) -> str:
+        """Return the name of what has left the domain, or an empty text; equal on all ranks."""
+        return ""
+
+    def adjust_bounds(self, span: StepSpan, bounds: ParticleBounds) -> ParticleBounds:
+        """Return the bounds of the next step, given those of the particles of all ranks."""
+        return bounds
+
+    def needs_sort(self, span: StepSpan, maxima: StepMaxima) -> bool:
+        """Return whether a sort must follow; insert particles and move them between groups."""
+        return False
+
+    # ---- output ----------------------------------------------------------------------------------
+
+    def collider_poses(self, time: float) -> np.ndarray | None:
+        """Return the poses of moving colliders, shape (m, 4, 4), start -> `time` [m], or None."""
+        return None
+
+    def conserved(self, time: float) -> dict[str, float]:
+        """Return columns of the conservation log that the particles do not have; on rank 0."""
+        return {}
+
+    def reaction_points(self) -> np.ndarray:
+        """Return the present reference points of its reactions, shape (rows, 3) [m]."""
+        return np.zeros((0, 3))
+
+
+def carrier_of(features: Mapping[str, ActiveFeature], name: str) -> ActiveFeature | None:
+    """Return the feature that moves the groups of a `GroupPlan.carrier`; None for ""."""
+    return next((each for each in features.values() if name and each.carrier == name), None)
+
+
+def reserved_nodes(features: Mapping[str, ActiveFeature]) -> np.ndarray | None:
+    """Return the nodes that features attach, (node blocks, 64) uint8, or None."""
+    marks = [each.reserved_nodes for each in features.values() if each.reserved_nodes is not None]
+    return np.maximum.reduce(marks) if marks else None

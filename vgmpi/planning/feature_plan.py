@@ -1,0 +1,84 @@
+"""Plan of an optional feature: what the rest of a plan must know of it."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from vgmpi.scene.scene_feature import features
+
+from .prescribed_bodies import PrescribedBodyPlan
+
+
+class BodyPart(NamedTuple):
+    """Part of a body whose particles have a group of their own."""
+
+    object: int  # row of the body
+    particles: int  # number of its particles
+    group: int  # their group
+
+
+class FeaturePlan:
+    """Feature of a run, one of `Plan.features`. Every answer has a default: nothing is needed.
+
+    Attributes:
+        name: Name of the feature.
+        nodal_fields: Names of the fields near surfaces that it reads at nodes.
+        phases: Phases whose particles contribute to them.
+        uncounted_groups: Groups whose momentum and energy something else counts.
+    """
+
+    name = ""
+    nodal_fields: frozenset[str] = frozenset()
+    phases: frozenset[int] = frozenset()
+    uncounted_groups: frozenset[int] = frozenset()
+
+    def parts(self) -> list[BodyPart]:
+        """Return the parts of bodies that have groups of their own."""
+        return []
+
+    def assign_groups(self, ids: np.ndarray, groups: np.ndarray) -> None:
+        """Set the groups of particles at the start.
+
+        Args:
+            ids: Particle ids, shape (n,).
+            groups: Their groups (in/out), shape (n,).
+        """
+
+    def released_parts(self) -> list[PrescribedBodyPlan]:
+        """Return the parts that join another group at a time."""
+        return []
+
+    def reaction_bodies(self) -> list[tuple[int, tuple[float, ...]]]:
+        """Return (object, reference point [m]) of each body whose reactions it sums."""
+        return []
+
+    def report_lines(self, plan: Any) -> list[str]:
+        """Return its lines of the plan report."""
+        return []
+
+    def start(self, context: Any) -> Any:
+        """Return the feature as it acts in a run, an `ActiveFeature`.
+
+        Args:
+            context: What it may take, a features/active_feature.py `StartContext`.
+        """
+        raise NotImplementedError
+
+
+def feature_plans(
+    groups: tuple, group_of: tuple[int, ...], prepared: Mapping[str, Any]
+) -> tuple[tuple[FeaturePlan, ...], tuple]:
+    """Return the plans of all features that a scene has, and all groups.
+
+    Args:
+        groups: Groups without features.
+        group_of: Group of each object and inlet.
+        prepared: Prepared data of features by name.
+    """
+    plans = []
+    for feature in features():
+        if feature.name in prepared:
+            plan, groups = feature.plan(groups, group_of, prepared[feature.name])
+            plans.append(plan)
+    return tuple(plans), groups

@@ -1,0 +1,155 @@
+"""Optional features of scenes: their list, and what each adds to the tables of a scene.
+
+A feature is a folder of vgmpi/features with a module `feature` that defines FEATURE. It is found by
+its name in FEATURES, as a material is found by its file: the rooms below know the methods of
+`SceneFeature` and no feature.
+"""
+
+from collections.abc import Mapping
+from functools import cache
+from importlib import import_module
+from typing import Any, NamedTuple
+
+import numpy as np
+from pydantic import BaseModel, create_model
+
+from vgmpi.runtime.config.schema import StrictModel
+
+from .objects import Object
+
+# In the order in which they act. It numbers groups and orders sums: it is part of the results.
+FEATURES = ("pinned_parts",)
+
+Errors = list[tuple[tuple, str]]  # (path of a key, message)
+
+
+class NoKeys(StrictModel):
+    """Keys of a feature that adds none."""
+
+
+class InitialParticles(NamedTuple):
+    """Particles at the start, in the order of their ids."""
+
+    x: np.ndarray  # (n, 3) [m] positions
+    vol0: np.ndarray  # (n,) [m3] rest volumes
+    owner: np.ndarray  # (n,) object of each
+    entries: list[dict]  # of the objects and inlets in output files
+
+
+class SceneFeature:
+    """Feature of scenes: its keys, their checks, and what is prepared and planned from them.
+
+    Attributes:
+        name: Name of its folder, under which its prepared data are stored.
+        title: Noun phrase for messages: "pinned parts".
+        force_source: Its bodies whose forces can be probed, as a message names them, or "".
+        object_keys: Table of the keys that it adds to [[object]]; all make particles of the start.
+        sections: Tables inside these keys, for the reference, by title.
+        missing_engines: Engines that cannot run it.
+    """
+
+    name = title = force_source = ""
+    object_keys: type[StrictModel] = NoKeys
+    sections: Mapping[str, type[BaseModel]] = {}
+    missing_engines: tuple[str, ...] = ()
+
+    def keys_of(self, obj: Object) -> list[str]:
+        """Return those of its keys that an object has set."""
+        return [key for key in self.object_keys.model_fields if getattr(obj, key)]
+
+    def check_object(self, raw: dict, is_scenery: bool) -> Errors:
+        """Return the errors of one object as read, besides the values of its keys."""
+        return []
+
+    def check_scene(self, objects: list, materials: dict, couplings: list, accuracy: Any) -> Errors:
+        """Return what a scene with the feature cannot have.
+
+        Args:
+            objects: Objects of the scene.
+            materials: Materials by their names, None in place of invalid ones.
+            couplings: Couplings of its materials, None in place of invalid ones.
+            accuracy: Table `accuracy`, or None.
+        """
+        return []
+
+    def has_force(self, obj: Object) -> bool:
+        """Return whether the force on an object can be probed because of the feature."""
+        return False
+
+    def may_overlap(self, obj: Object) -> bool:
+        """Return whether an object may well begin inside a collider because of the feature."""
+        return False
+
+    def hangs(self, obj: Object, lowest: np.ndarray, spacing: float) -> bool:
+        """Return whether an object is held, but not at its lowest point.
+
+        Args:
+            obj: The object.
+            lowest: The point, shape (1, 3) [m].
+            spacing: Distance of its particles [m].
+        """
+        return False
+
+    def prepare(self, scene: Any, particles: InitialParticles, colliders: list) -> Any:
+        """Return its data at the start, the same on all ranks, or None if the scene has none.
+
+        Args:
+            scene: The scene.
+            particles: Particles at the start.
+            colliders: Colliders at the start.
+        """
+        return None
+
+    def adjust_colliders(self, colliders: list, prepared: Any) -> list:
+        """Return the colliders as they are with the prepared data."""
+        return colliders
+
+    def plan(self, groups: tuple, group_of: tuple[int, ...], prepared: Any) -> tuple[Any, tuple]:
+        """Return its `FeaturePlan`, and the groups with its own last.
+
+        Args:
+            groups: Groups so far.
+            group_of: Group of each object and inlet.
+            prepared: Result of `prepare`.
+        """
+        raise NotImplementedError
+
+
+@cache
+def features() -> tuple[SceneFeature, ...]:
+    """Return the features in the order in which they act."""
+    return tuple(import_module(f"vgmpi.features.{name}.feature").FEATURE for name in FEATURES)
+
+
+@cache
+def object_table() -> type[Object]:
+    """Return the table [[object]] with the keys of all features."""
+    keys: dict[str, Any] = {}
+    for feature in features():
+        keys |= {k: (f.annotation, f) for k, f in feature.object_keys.model_fields.items()}
+    about = {"__module__": __name__, "__doc__": Object.__doc__}
+    return create_model("Object", __base__=Object, **about, **keys)  # type: ignore[call-overload]
+
+
+def check_object(raw: dict) -> Errors:
+    """Return the errors of one object as read that the features find."""
+    is_scenery = raw.get("role") == "scenery"
+    return [error for each in features() for error in each.check_object(raw, is_scenery)]
+
+
+def prepare_features(
+    scene: Any, particles: InitialParticles, colliders: list
+) -> tuple[dict[str, Any], list]:
+    """Return the prepared data of the features that a scene has, by name, and the colliders.
+
+    Args:
+        scene: The scene.
+        particles: Particles at the start.
+        colliders: Colliders at the start.
+    """
+    prepared: dict[str, Any] = {}
+    for feature in features():
+        if (data := feature.prepare(scene, particles, colliders)) is not None:
+            prepared[feature.name] = data
+            colliders = feature.adjust_colliders(colliders, data)
+    return prepared, colliders
