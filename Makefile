@@ -34,7 +34,7 @@ demo:
 	@EXTRAS= HDF5=serial ./setup.sh
 	$(PY) runs/assets/make_assets.py
 	$(PY) -m vgmpi $(RUN)/scene.toml --ranks 2 --overwrite --calibrate
-	$(PY) -m postprocess.render $(RUN)/out $(RUN)/render.toml -o $(RUN)/out/video.mp4
+	$(PY) -m vgmpi render $(RUN)/out $(RUN)/render.toml -o $(RUN)/out/video.mp4
 	@echo
 	@echo "video:    $(CURDIR)/$(RUN)/out/video.mp4"
 	@echo "frames:   $(CURDIR)/$(RUN)/out/frames/"
@@ -72,7 +72,7 @@ lint: setup
 docs: setup
 	$(PY) -m vgmpi.scene > docs/reference/scene.md
 	$(PY) -m vgmpi.io.layout_reference > docs/reference/file-format.md
-	$(PY) -m vgmpi.apps.command_reference > docs/reference/commands.md
+	$(PY) -m vgmpi.commands.command_reference > docs/reference/commands.md
 
 site: docs
 	NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build --strict

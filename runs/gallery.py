@@ -22,10 +22,10 @@ from pathlib import Path
 import imageio.v3 as iio
 import numpy as np
 
-from vgmpi.apps.bench.__main__ import machine
 from vgmpi.io import csv_log, file_layout
 from vgmpi.parallel.launch import OPEN_MPI
 from vgmpi.runtime.cpu_features import vector_bytes
+from vgmpi.tools.bench.__main__ import machine
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
@@ -101,7 +101,7 @@ def simulate(
 
 def draw(name: str, out: Path) -> tuple[float, int]:
     """Seconds that the video took, and how many pictures it has."""
-    drawing = [sys.executable, "-m", "postprocess.render", out, HERE / name / "render.toml"]
+    drawing = [sys.executable, "-m", "vgmpi", "render", out, HERE / name / "render.toml"]
     last = ["--jobs", "2", "-q", "-o", out / "video.mp4", "--frames", out / "png"]
     took, _ = call(*drawing, *last)
     return took, len(list((out / "png").glob("*.png")))
@@ -113,7 +113,7 @@ def draw_stills(name: str, out: Path) -> tuple[float, int]:
     numbers = sorted({round(part * (count - 1)) for part in FAST.get(name, TIMES)})
     for number in numbers:
         picture = out / "png" / f"frame_{number:05d}.png"
-        drawing = [sys.executable, "-m", "postprocess.render", out, HERE / name / "render.toml"]
+        drawing = [sys.executable, "-m", "vgmpi", "render", out, HERE / name / "render.toml"]
         took += call(*drawing, "--frame", str(number), "-q", "-o", picture)[0]
     return took, len(numbers)
 

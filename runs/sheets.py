@@ -20,8 +20,8 @@ from gallery import FAST, TIMES
 from PIL import Image
 
 from vgmpi.io.run_reader import RunReader
-from vgmpi.rendering import render_config
-from vgmpi.rendering.frame_renderer import FrameRenderer
+from vgmpi.postprocess.frames import render_config
+from vgmpi.postprocess.frames.frame_renderer import FrameRenderer
 
 HERE = Path(__file__).resolve().parent
 PICTURES = HERE.parent / "docs" / "pictures"

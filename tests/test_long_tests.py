@@ -11,7 +11,7 @@ import pytest
 from tests.benchmarks import choose_tests
 from tests.support import long_tests
 from tests.support.small_scenes import LAWS
-from vgmpi.apps.bench.benchmark_case import BenchError
+from vgmpi.tools.bench.benchmark_case import BenchError
 
 ROOT = Path(__file__).parents[1]
 ONE, OTHER = "test_one.py", "test_other.py"  # in a tree of a test

@@ -25,5 +25,5 @@ def __getattr__(name: str):
         return importlib.import_module("vgmpi.runtime.versions").program_version()
     if name not in __all__:
         raise AttributeError(f"module 'vgmpi' has no attribute '{name}'")
-    module = "vgmpi.apps.notebook.opened_run" if name == "open_run" else "vgmpi.api"
+    module = "vgmpi.tools.notebook.opened_run" if name == "open_run" else "vgmpi.api"
     return getattr(importlib.import_module(module), name)

@@ -8,9 +8,10 @@ from vgmpi.runtime.command_line import exit_code_from_exceptions
 @exit_code_from_exceptions
 def main() -> int:
     """Run the command of this process's command line; returns the exit code."""
-    from vgmpi.apps import commands  # an interrupt while this loads ends the program in one line
+    # imported here: an interrupt while this loads ends the program in one line
+    from vgmpi.commands import command_table
 
-    return commands.main(sys.argv[1:])
+    return command_table.main(sys.argv[1:])
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Draw the photograph of this example: python runs/photo/make_photo.py [folder].
 
 --sheet FILE: six frames of its run as one picture, for docs/how-to/photo-to-scene.md.
---examples FOLDER: the drawn photographs of vgmpi photo --demo, for vgmpi/apps/photo/examples.
+--examples FOLDER: the drawn photographs of vgmpi photo --demo, for vgmpi/tools/photo/examples.
 
 A table before a wall, lit from the left: balls, cans and boxes, ray-traced in numpy. The same bytes
 every time. `draw` also tells which pixels are whose, so that tests know the truth. photo.png and
@@ -16,7 +16,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # also without an installed vgmpi
 
-from vgmpi.apps.photo.photo_camera import View
+from vgmpi.tools.photo.photo_camera import View
 
 LIGHT = np.array([-0.45, -0.55, 0.70]) / np.linalg.norm([-0.45, -0.55, 0.70])
 FINE = 2  # rays per pixel and axis
@@ -259,8 +259,8 @@ def sheet(folder: Path, path: Path) -> None:
     from PIL import Image
 
     from vgmpi.io.run_reader import RunReader
-    from vgmpi.rendering import render_config
-    from vgmpi.rendering.frame_renderer import FrameRenderer
+    from vgmpi.postprocess.frames import render_config
+    from vgmpi.postprocess.frames.frame_renderer import FrameRenderer
 
     chosen = render_config.load(folder / "render.toml")
     painter = FrameRenderer(RunReader(folder / "out"), chosen, folder)

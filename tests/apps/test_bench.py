@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from tests.benchmarks import compare_checkouts
-from vgmpi.apps.bench import __main__ as command
-from vgmpi.apps.bench import interleaved_rounds, result_tables, roofline
-from vgmpi.apps.bench.benchmark_case import BenchError, Case, WorkerError, lay_out
-from vgmpi.apps.bench.interleaved_rounds import Contestant, Worker, run_interleaved
 from vgmpi.materials import registry
+from vgmpi.tools.bench import __main__ as command
+from vgmpi.tools.bench import interleaved_rounds, result_tables, roofline
+from vgmpi.tools.bench.benchmark_case import BenchError, Case, WorkerError, lay_out
+from vgmpi.tools.bench.interleaved_rounds import Contestant, Worker, run_interleaved
 
 OWN, PLAIN = Contestant("own"), Contestant("plain")
 NEEDS = {"taichi_rival": "taichi", "warp_rival": "warp"}
@@ -183,7 +183,7 @@ def test_a_round_begins_anew_before_the_cube_reaches_a_wall(small):
 @pytest.mark.parametrize("kind", registry)
 def test_every_material_has_a_row(kind):
     """Where this fails, give the new material the least it needs in KEYS of
-    apps/bench/benchmark_case.py."""
+    tools/bench/benchmark_case.py."""
     case = Case(kind, 500)
     assert (
         case.dt > 0 and roofline.operation_count(case.material)["flops"] > roofline.TRANSFER_FLOPS

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from vgmpi.apps.bench import interleaved_rounds
-from vgmpi.apps.bench.benchmark_case import STEPS, BenchError, Case
-from vgmpi.apps.bench.contestant_worker import CONTESTANTS
-from vgmpi.apps.bench.interleaved_rounds import Contestant
+from vgmpi.tools.bench import interleaved_rounds
+from vgmpi.tools.bench.benchmark_case import STEPS, BenchError, Case
+from vgmpi.tools.bench.contestant_worker import CONTESTANTS
+from vgmpi.tools.bench.interleaved_rounds import Contestant
 
 ROOT = Path(__file__).parents[2]
 

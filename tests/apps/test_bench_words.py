@@ -4,9 +4,9 @@ from typing import Annotated, ClassVar, Literal
 
 import pytest
 
-from vgmpi.apps.bench import __main__ as command
 from vgmpi.materials import registry
 from vgmpi.runtime.config.schema import Quantity, StrictModel
+from vgmpi.tools.bench import __main__ as command
 
 
 class Jelly(StrictModel):

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from tests.support.launch import ROOT
-from vgmpi.apps.bench import __main__ as bench
-from vgmpi.apps.bench.board import board_command, board_results
-from vgmpi.apps.bench.board.board_cases import (
+from vgmpi.tools.bench import __main__ as bench
+from vgmpi.tools.bench.board import board_command, board_results
+from vgmpi.tools.bench.board.board_cases import (
     BEAM_CLAMP,
     CASES,
     GRAVITY,
@@ -25,10 +25,10 @@ from vgmpi.apps.bench.board.board_cases import (
     beam_sag,
     vortex_velocity,
 )
-from vgmpi.apps.bench.board.board_plot import draw_board
-from vgmpi.apps.bench.board.board_settings import RUNS
-from vgmpi.apps.bench.board.jet_and_block import BlockMeasure, JetMeasure, jet_velocity
-from vgmpi.apps.bench.board.vgmpi_board_solver import Solver
+from vgmpi.tools.bench.board.board_plot import draw_board
+from vgmpi.tools.bench.board.board_settings import RUNS
+from vgmpi.tools.bench.board.jet_and_block import BlockMeasure, JetMeasure, jet_velocity
+from vgmpi.tools.bench.board.vgmpi_board_solver import Solver
 
 
 def rows_of(size, spacing, low=(0, 0, 0)):
@@ -388,7 +388,7 @@ def test_the_rivals_cannot_be_installed(tmp_path, monkeypatch, capsys):
 def test_measures_need_numpy_alone():
     """They run in the environments of the rivals."""
     code = (
-        "import sys; import vgmpi.apps.bench.board.board_run as b; "
+        "import sys; import vgmpi.tools.bench.board.board_run as b; "
         "print([m for m in ('numba', 'pydantic', 'h5py', 'mpi4py', 'scipy') if m in sys.modules])"
     )
     done = subprocess.run(

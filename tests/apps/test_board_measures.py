@@ -5,8 +5,8 @@ import time
 import numpy as np
 import pytest
 
-from vgmpi.apps.bench.board.board_cases import BoardState, VortexMeasure
-from vgmpi.apps.bench.board.jet_and_block import JetMeasure
+from vgmpi.tools.bench.board.board_cases import BoardState, VortexMeasure
+from vgmpi.tools.bench.board.jet_and_block import JetMeasure
 
 
 @pytest.mark.parametrize("kind", [VortexMeasure, JetMeasure])

@@ -9,7 +9,7 @@ import vgmpi
 from tests.support import launch, simulated_ranks
 from tests.support.launch import ROOT
 from tests.support.small_scenes import MIXED, ROOM, write
-from vgmpi.apps.run import cli, flags
+from vgmpi.commands import cli, flags
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import registry
 from vgmpi.kernels.nodal_fields import momentum

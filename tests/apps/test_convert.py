@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from tests.support.foreign_configs import BOX, CELL, HOLD, ONE, egg, named, scene_of, several
-from vgmpi.apps.convert.__main__ import main
-from vgmpi.apps.convert.scene_converter import convert_scene
 from vgmpi.gaussians.formats import registry
 from vgmpi.materials.tensor_math import viscoplastic_flow
 from vgmpi.preprocess.scene_builder import build_scene
+from vgmpi.tools.convert.__main__ import main
+from vgmpi.tools.convert.scene_converter import convert_scene
 
 
 @pytest.fixture

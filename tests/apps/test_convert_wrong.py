@@ -5,7 +5,7 @@ import json
 import pytest
 
 from tests.support.foreign_configs import BOX, HOLD, ONE, several
-from vgmpi.apps.convert.__main__ import main
+from vgmpi.tools.convert.__main__ import main
 
 
 @pytest.fixture

@@ -2,7 +2,7 @@
 
 import pytest
 
-from vgmpi.apps.fit.video_prior import score_distillation
+from vgmpi.tools.fit.video_prior import score_distillation
 
 torch = pytest.importorskip("torch")
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.support.small_scenes import write
-from vgmpi.apps.run import cli
-from vgmpi.apps.tradeoff import energy_drift
+from vgmpi.commands import cli
+from vgmpi.tools.tradeoff import energy_drift
 
 SCENE = """
 [domain]

@@ -8,8 +8,7 @@ import pytest
 import vgmpi
 from tests.support import small_scenes
 from tests.support.small_scenes import scene
-from vgmpi.apps import commands
-from vgmpi.apps.run import cli
+from vgmpi.commands import cli, command_table
 from vgmpi.gaussians.shape_distance import distance
 from vgmpi.io.csv_log import read_rows
 from vgmpi.parallel.communicator import SerialCommunicator
@@ -63,7 +62,7 @@ def planned(folder, text):
 
 
 def test_the_version_is_told(capsys):
-    assert commands.main(["--version"]) == 0
+    assert command_table.main(["--version"]) == 0
     assert re.fullmatch(r"vgmpi \d+\.\d+\S*, Python 3\.\S+\n", capsys.readouterr().out)
     assert vgmpi.__version__ in ("not installed", *re.findall(r"[\d.]+", vgmpi.__version__))
 

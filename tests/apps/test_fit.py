@@ -15,11 +15,11 @@ import pyvista
 
 from tests.support import launch
 from tests.support.fit_scenes import BALL, FIT, command, go, made, reference
-from vgmpi.apps.fit import __main__ as fit
-from vgmpi.apps.fit import optimizers, parameter_space, uncertainty
-from vgmpi.apps.fit.parameter_space import ParameterAxis, value_at
-from vgmpi.apps.fit.run_pool import RECORD, RunPool
 from vgmpi.scene.loader import load
+from vgmpi.tools.fit import __main__ as fit
+from vgmpi.tools.fit import optimizers, parameter_space, uncertainty
+from vgmpi.tools.fit.parameter_space import ParameterAxis, value_at
+from vgmpi.tools.fit.run_pool import RECORD, RunPool
 
 KEY = "material.rubber.youngs_modulus"
 DENSITY = """

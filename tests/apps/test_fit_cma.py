@@ -7,9 +7,9 @@ import pytest
 
 from tests.apps.test_fit import DENSITY, bits, rows
 from tests.support.fit_scenes import BALL, FIT, made, reference
-from vgmpi.apps.fit import __main__ as fit
-from vgmpi.apps.fit import optimizers
 from vgmpi.scene.loader import load
+from vgmpi.tools.fit import __main__ as fit
+from vgmpi.tools.fit import optimizers
 
 TEXT = FIT[: FIT.index("[target]")] + DENSITY + FIT[FIT.index("[target]") :]
 TEXT = TEXT.replace('"center_z", "velocity_z"', '"center_z", "momentum_z"')

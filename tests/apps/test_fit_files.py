@@ -3,7 +3,7 @@
 import pytest
 
 from tests.support.fit_scenes import BALL, FIT, made, reference
-from vgmpi.apps.fit import __main__ as fit
+from vgmpi.tools.fit import __main__ as fit
 
 KEY = "material.rubber.youngs_modulus"
 TARGET = FIT[FIT.index("[target]") : FIT.index("[method]")]

@@ -10,13 +10,13 @@ import pytest
 
 from tests.support import launch, sds_fits, tiny_video_models
 from tests.support.fit_scenes import BALL, command, go, made
-from vgmpi.apps.fit import __main__ as fit
-from vgmpi.apps.fit import sds_descent
-from vgmpi.apps.fit.evaluations import Evaluations
-from vgmpi.apps.fit.fit_config import FitFile, FitFileError
-from vgmpi.apps.fit.video_prior import score_distillation
-from vgmpi.apps.fit.video_prior.denoising_target import PACKAGES, DenoisingTarget
 from vgmpi.scene.loader import load
+from vgmpi.tools.fit import __main__ as fit
+from vgmpi.tools.fit import sds_descent
+from vgmpi.tools.fit.evaluations import Evaluations
+from vgmpi.tools.fit.fit_config import FitFile, FitFileError
+from vgmpi.tools.fit.video_prior import score_distillation
+from vgmpi.tools.fit.video_prior.denoising_target import PACKAGES, DenoisingTarget
 
 GONE = [name for name in PACKAGES if importlib.util.find_spec(name) is None]
 if GONE:

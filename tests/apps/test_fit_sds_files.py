@@ -8,10 +8,10 @@ import pytest
 
 from tests.support import sds_fits
 from tests.support.fit_scenes import BALL, made
-from vgmpi.apps.fit import __main__ as fit
-from vgmpi.apps.fit.video_prior import denoising_target
-from vgmpi.apps.fit.video_prior.model_folder import Folder, ModelError
-from vgmpi.rendering.image_io import write_png
+from vgmpi.postprocess.frames.image_io import write_png
+from vgmpi.tools.fit import __main__ as fit
+from vgmpi.tools.fit.video_prior import denoising_target
+from vgmpi.tools.fit.video_prior.model_folder import Folder, ModelError
 
 INDEX = {
     "_class_name": "WanPipeline",
@@ -248,7 +248,7 @@ def test_weights_in_half_precision_alone_are_taken(beside):
     ],
 )
 def test_a_first_picture_that_cannot_be_read_is_told(beside, capsys, monkeypatch, picture, said):
-    monkeypatch.setattr("vgmpi.apps.fit.video_prior.models.flow_matching.Flow.by", "image")
+    monkeypatch.setattr("vgmpi.tools.fit.video_prior.models.flow_matching.Flow.by", "image")
     scene, file = made(beside, BALL, TEXT.replace(sds_fits.PROMPT, f'image = "{picture}"'))
     assert fit.main([str(scene), str(file), "-o", str(beside / "fit")]) == 2
     told = capsys.readouterr().err

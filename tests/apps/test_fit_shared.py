@@ -10,19 +10,19 @@ import pytest
 from tests.apps.test_fit import bits
 from tests.support import launch
 from tests.support.fit_scenes import FIT, fitted_alone
-from vgmpi.apps.fit import optimizers
-from vgmpi.apps.fit.fit_config import FitFile
-from vgmpi.apps.fit.parameter_space import setting
-from vgmpi.apps.fit.run_pool import RECORD, RunPool
 from vgmpi.io.run_lock import file_lock
 from vgmpi.scene.loader import load
+from vgmpi.tools.fit import optimizers
+from vgmpi.tools.fit.fit_config import FitFile
+from vgmpi.tools.fit.parameter_space import setting
+from vgmpi.tools.fit.run_pool import RECORD, RunPool
 
 FEW = FIT.replace("max_runs = 40", "max_runs = 14")
 # the command of a fit that notes each run it begins, stays in the one of a number for ever, and
 # in all but the first of the fit waits until as many processes as are told have begun one
 NOTED = """
 import os, sys, time
-from vgmpi.apps.fit import __main__ as fit, run_pool
+from vgmpi.tools.fit import __main__ as fit, run_pool
 log, stays, together = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
 make, count = run_pool.RunPool._make, 0
 def noted(self, setting, handle):

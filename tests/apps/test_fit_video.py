@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from postprocess import render
 from tests.benchmarks.recovery import aside, view
 from tests.support.fit_scenes import BALL, FIT, made, reference
-from vgmpi.apps.fit import __main__ as fit
-from vgmpi.apps.fit import comparison_video, video_target
-from vgmpi.apps.fit.fit_config import FitFile
-from vgmpi.apps.fit.run_renderer import Pictures
-from vgmpi.apps.fit.target_factory import target_of
-from vgmpi.apps.fit.video_reader import pictures_in, scaled
 from vgmpi.io.run_reader import RunReader
-from vgmpi.rendering.image_io import to_bytes, write_png
+from vgmpi.postprocess.commands import render
+from vgmpi.postprocess.frames.image_io import to_bytes, write_png
 from vgmpi.runtime import process_limits
 from vgmpi.scene.loader import load
+from vgmpi.tools.fit import __main__ as fit
+from vgmpi.tools.fit import comparison_video, video_target
+from vgmpi.tools.fit.fit_config import FitFile
+from vgmpi.tools.fit.run_renderer import Pictures
+from vgmpi.tools.fit.target_factory import target_of
+from vgmpi.tools.fit.video_reader import pictures_in, scaled
 
 KEY = "material.rubber.youngs_modulus"
 CAMERA = ((0.12, -0.5, 0.15), (0.12, 0.12, 0.08), 20)

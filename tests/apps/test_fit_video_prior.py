@@ -9,14 +9,14 @@ import pytest
 
 from tests.support import sds_fits
 from tests.support.fit_scenes import made, reference
-from vgmpi.apps.fit import fit_report
-from vgmpi.apps.fit.evaluations import Evaluations
-from vgmpi.apps.fit.fit_config import FitFile, FitFileError
-from vgmpi.apps.fit.run_pool import RunPool
-from vgmpi.apps.fit.run_renderer import Pictures
-from vgmpi.apps.fit.video_prior.denoising_target import DenoisingTarget
-from vgmpi.apps.fit.workflow import run_fit
 from vgmpi.scene.loader import load
+from vgmpi.tools.fit import fit_report
+from vgmpi.tools.fit.evaluations import Evaluations
+from vgmpi.tools.fit.fit_config import FitFile, FitFileError
+from vgmpi.tools.fit.run_pool import RunPool
+from vgmpi.tools.fit.run_renderer import Pictures
+from vgmpi.tools.fit.video_prior.denoising_target import DenoisingTarget
+from vgmpi.tools.fit.workflow import run_fit
 
 if importlib.util.find_spec("torch") is None:
     pytest.skip("no torch: pip install 'vgmpi[sds]'", allow_module_level=True)

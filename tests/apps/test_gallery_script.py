@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.small_scenes import ROOM, write
-from vgmpi.apps.run import cli
+from vgmpi.commands import cli
 
 BALL = """
 [[object]]

@@ -9,7 +9,7 @@ from PIL import Image
 
 from tests.support import drawn_photograph, drawn_runs, fit_scenes
 from tests.support.foreign_configs import ONE
-from vgmpi.apps.commands import main as vgmpi_main
+from vgmpi.commands.command_table import main as vgmpi_main
 from vgmpi.runtime.command_line import exit_code_from_exceptions
 
 command = exit_code_from_exceptions(vgmpi_main)  # as `python -m vgmpi` has it

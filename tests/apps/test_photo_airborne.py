@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from tests.support import drawn_photograph
-from vgmpi.apps.photo import height_from_depth, mask_to_mesh
-from vgmpi.apps.photo.__main__ import main
-from vgmpi.apps.photo.learned_models import Models
-from vgmpi.apps.photo.photo_camera import View
+from vgmpi.tools.photo import height_from_depth, mask_to_mesh
+from vgmpi.tools.photo.__main__ import main
+from vgmpi.tools.photo.learned_models import Models
+from vgmpi.tools.photo.photo_camera import View
 
 pytest.importorskip("cv2", reason="no OpenCV: pip install 'vgmpi[images]'")
 drawing, VIEW, EYE = drawn_photograph.drawing, View(400, 300, 38.0, 18.0), drawn_photograph.EYE
@@ -86,7 +86,7 @@ def test_the_command_writes_it_as_a_guess(tmp_path, monkeypatch):
             assert rgb.shape == (VIEW.height, VIEW.width, 3)
             return nearness()[0]
 
-    from vgmpi.apps.photo import learned_models, object_masks
+    from vgmpi.tools.photo import learned_models, object_masks
 
     monkeypatch.setattr(learned_models, "load", lambda told: Models(object_masks.grabcut, Depth()))
     out = tmp_path / "out"

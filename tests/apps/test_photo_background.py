@@ -6,7 +6,7 @@ from scipy import ndimage
 
 from tests.support import drawn_photograph
 from tests.support.picture_noise import psnr
-from vgmpi.apps.photo.background_inpainting import (
+from vgmpi.tools.photo.background_inpainting import (
     _fill_along_lines,
     inpaint_background,
     seam_contrast,

@@ -9,11 +9,11 @@ import pytest
 from PIL import Image
 
 from tests.support import drawn_photograph, drawn_room
-from vgmpi.apps.photo import camera_guess, example_photographs, layout_config, photograph
-from vgmpi.apps.photo.__main__ import main
-from vgmpi.apps.photo.line_segments import Segments, detect_segments
-from vgmpi.apps.photo.manhattan_frame import _sines, fit_frame
-from vgmpi.apps.photo.photo_camera import View
+from vgmpi.tools.photo import camera_guess, example_photographs, layout_config, photograph
+from vgmpi.tools.photo.__main__ import main
+from vgmpi.tools.photo.line_segments import Segments, detect_segments
+from vgmpi.tools.photo.manhattan_frame import _sines, fit_frame
+from vgmpi.tools.photo.photo_camera import View
 
 pytest.importorskip("cv2", reason="no OpenCV: pip install 'vgmpi[images]'")
 CAMERAS = [  # pitch, field of view, yaw of the room [degrees]
@@ -290,7 +290,7 @@ def room(tmp_path):
         caplog.clear()
         photo, guesses = photograph.read(photo_path), []
         mask = np.zeros(photo.rgb.shape[:2], bool)
-        with caplog.at_level(logging.INFO, logger="vgmpi.apps.photo"):
+        with caplog.at_level(logging.INFO, logger="vgmpi.tools.photo"):
             view = camera_guess.guess_view(layout_config.read(layout), photo, [mask], guesses)
         return view, {path[1]: reason for path, _, reason in guesses}, caplog.messages
 

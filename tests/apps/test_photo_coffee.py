@@ -6,7 +6,7 @@ The reference was drawn by hand: the ellipses of saucer and rim, and the handle 
 import numpy as np
 import pytest
 
-from vgmpi.apps.photo import grabcut
+from vgmpi.tools.photo import grabcut
 
 cv2 = pytest.importorskip("cv2", reason="no OpenCV: pip install 'vgmpi[images]'")
 data = pytest.importorskip(

@@ -5,11 +5,11 @@ import pytest
 from scipy import ndimage
 
 from tests.support import drawn_photograph
-from vgmpi.apps.photo import hollow_body, layout_config, mask_to_mesh
-from vgmpi.apps.photo.hollow_body import Cup
-from vgmpi.apps.photo.layout_config import LayoutError
-from vgmpi.apps.photo.mask_to_mesh import BodyError, Profile
-from vgmpi.apps.photo.photo_camera import View
+from vgmpi.tools.photo import hollow_body, layout_config, mask_to_mesh
+from vgmpi.tools.photo.hollow_body import Cup
+from vgmpi.tools.photo.layout_config import LayoutError
+from vgmpi.tools.photo.mask_to_mesh import BodyError, Profile
+from vgmpi.tools.photo.photo_camera import View
 
 VIEW = View(480, 360, 20.0, 40.0)
 RADIUS, WALL, BASE, RIM = 0.06, 0.2, -0.92, -0.79  # about the eye, whose axis is at the depth 1
@@ -138,7 +138,7 @@ def test_the_cup_of_a_photograph_holds_its_liquid(tmp_path, monkeypatch):
     pytest.importorskip("cv2", reason="no OpenCV: pip install 'vgmpi[images]'")
     from PIL import Image
 
-    from vgmpi.apps.photo.__main__ import main
+    from vgmpi.tools.photo.__main__ import main
 
     rgb, mask = drawn_photograph.three().rgb, drawn_photograph.three().masks[1]
     dark = ndimage.binary_opening(mask & (rgb.max(axis=-1) < 90))

@@ -8,8 +8,8 @@ import pytest
 from PIL import Image
 
 from tests.support.launch import ROOT, run
-from vgmpi.apps.photo import example_photographs
-from vgmpi.apps.photo.__main__ import main
+from vgmpi.tools.photo import example_photographs
+from vgmpi.tools.photo.__main__ import main
 
 pytest.importorskip("cv2", reason="no OpenCV: pip install 'vgmpi[images]'")
 pytest.importorskip("tomlkit", reason="no tomlkit: pip install 'vgmpi[images]'")

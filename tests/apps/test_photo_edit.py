@@ -17,10 +17,10 @@ from tests.support import drawn_photograph
 from tests.support.headless_browser import browser_of, new_page
 from tests.support.launch import run
 from tests.support.mask_editor_pages import EditorProcess, Hand
-from vgmpi.apps.photo import grabcut, layout_config, learned_models, object_masks, photograph
-from vgmpi.apps.photo.__main__ import main
-from vgmpi.apps.photo.layout_config import LayoutError
-from vgmpi.apps.photo.mask_editor.edit_session import (
+from vgmpi.tools.photo import grabcut, layout_config, learned_models, object_masks, photograph
+from vgmpi.tools.photo.__main__ import main
+from vgmpi.tools.photo.layout_config import LayoutError
+from vgmpi.tools.photo.mask_editor.edit_session import (
     EditedLayout,
     EditedObject,
     EditSession,
@@ -336,7 +336,7 @@ def test_a_wheel_has_the_page():
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
     patterns = settings["package-data"]["vgmpi"]
     pages = {path for pattern in patterns for path in (ROOT / "vgmpi").glob(pattern)}
-    assert ROOT / "vgmpi" / "apps" / "photo" / "mask_editor" / "editor_page.html" in pages
+    assert ROOT / "vgmpi" / "tools" / "photo" / "mask_editor" / "editor_page.html" in pages
 
 
 def test_help_names_the_page():

@@ -9,11 +9,11 @@ from PIL import Image
 
 from tests.support import drawn_photograph
 from tests.support.launch import ROOT, run
-from vgmpi.apps.photo import box_proposals, grabcut
-from vgmpi.apps.photo import layout_config as layouts
-from vgmpi.apps.photo.__main__ import main
 from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.scene.loader import load
+from vgmpi.tools.photo import box_proposals, grabcut
+from vgmpi.tools.photo import layout_config as layouts
+from vgmpi.tools.photo.__main__ import main
 
 pytest.importorskip("cv2", reason="no OpenCV: pip install 'vgmpi[images]'")
 

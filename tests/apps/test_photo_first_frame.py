@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from tests.support import drawn_photograph
-from vgmpi.apps.photo import color_correction, gaussian_colors, mask_to_mesh, preview
-from vgmpi.apps.photo.__main__ import main
-from vgmpi.apps.photo.photo_camera import View
+from vgmpi.tools.photo import color_correction, gaussian_colors, mask_to_mesh, preview
+from vgmpi.tools.photo.__main__ import main
+from vgmpi.tools.photo.photo_camera import View
 
 WIDTH, HEIGHT = 200, 160
 STEEP = View(WIDTH, HEIGHT, 30.0, 60.0)

@@ -13,10 +13,10 @@ import pytest
 
 from tests.support import drawn_photograph, duck_photograph
 from tests.support.launch import ROOT, finish, start, until
-from vgmpi.apps.photo import body_sources, external_generators
-from vgmpi.apps.photo import layout_config as layouts
-from vgmpi.apps.photo.__main__ import main
-from vgmpi.apps.photo.layout_config import BodiesTable
+from vgmpi.tools.photo import body_sources, external_generators
+from vgmpi.tools.photo import layout_config as layouts
+from vgmpi.tools.photo.__main__ import main
+from vgmpi.tools.photo.layout_config import BodiesTable
 
 pytest.importorskip("cv2", reason="no OpenCV: pip install 'vgmpi[images]'")
 
@@ -131,7 +131,7 @@ def test_a_killed_run_goes_on_where_it_was(tmp_path):
     layout.write_text(
         first + first[first.index("[[object]]") :].replace('"one"', '"two"') + "support = 0.2\n"
     )
-    command = [sys.executable, "-m", "vgmpi.apps.photo", tmp_path / "photo.png", layout]
+    command = [sys.executable, "-m", "vgmpi.tools.photo", tmp_path / "photo.png", layout]
     begun = start([*command, "-o", tmp_path / "out"], cwd=ROOT)
     until(lambda: "two 7" in calls(tmp_path), "the second object's program starts")
     os.kill(begun.pid, signal.SIGKILL)
@@ -151,7 +151,7 @@ def test_a_killed_run_goes_on_where_it_was(tmp_path):
 def test_ctrl_c_ends_the_program_too(tmp_path):
     wait = 'import os; (here / "pid").write_text(str(os.getpid())); time.sleep(600)'
     duck_photograph.put(tmp_path, 40, standin(tmp_path, wait), KNOWN)
-    command = [sys.executable, "-m", "vgmpi.apps.photo", tmp_path / "photo.png"]
+    command = [sys.executable, "-m", "vgmpi.tools.photo", tmp_path / "photo.png"]
     begun = start([*command, tmp_path / "layout.toml", "-o", tmp_path / "out"], cwd=ROOT)
     until(lambda: (tmp_path / "pid").exists() and (tmp_path / "pid").read_text(), "it starts")
     child = int((tmp_path / "pid").read_text())

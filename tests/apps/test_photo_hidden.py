@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from vgmpi.apps.photo.__main__ import main
 from vgmpi.gaussians.formats import registry
+from vgmpi.tools.photo.__main__ import main
 
 pytest.importorskip("cv2", reason="no OpenCV: pip install 'vgmpi[images]'")
 Y, X = np.mgrid[:240, :320] + 0.5

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from vgmpi.apps.photo import grabcut, photograph
-from vgmpi.apps.photo.__main__ import main
+from vgmpi.tools.photo import grabcut, photograph
+from vgmpi.tools.photo.__main__ import main
 
 pytest.importorskip("cv2", reason="no OpenCV: pip install 'vgmpi[images]'")
 WIDTH, HEIGHT = 160, 120

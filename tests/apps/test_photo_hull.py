@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from tests.support import drawn_photograph, turntable
-from vgmpi.apps.photo import grabcut, preview, visual_hull
-from vgmpi.apps.photo.__main__ import main
 from vgmpi.gaussians.cloud import GaussianCloud
+from vgmpi.tools.photo import grabcut, preview, visual_hull
+from vgmpi.tools.photo.__main__ import main
 
 pytest.importorskip("cv2", reason="no OpenCV: pip install 'vgmpi[images]'")
 UNSEEN = [(30, 0.25), (20, 2.2), (60, 4.0)]  # elevation [deg], azimuth [rad]

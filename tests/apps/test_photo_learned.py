@@ -11,11 +11,11 @@ import pytest
 
 from tests.support import drawn_photograph, tiny_image_models
 from tests.support.launch import ROOT
-from vgmpi.apps.photo import grabcut
-from vgmpi.apps.photo.__main__ import main
-from vgmpi.apps.photo.grabcut import Box
-from vgmpi.apps.photo.learned import clip, depth, model_loading, sam
-from vgmpi.apps.photo.learned.model_loading import LearnedError
+from vgmpi.tools.photo import grabcut
+from vgmpi.tools.photo.__main__ import main
+from vgmpi.tools.photo.grabcut import Box
+from vgmpi.tools.photo.learned import clip, depth, model_loading, sam
+from vgmpi.tools.photo.learned.model_loading import LearnedError
 
 torch = pytest.importorskip("torch", reason="no PyTorch: pip install 'vgmpi[learned]'")
 transformers = pytest.importorskip(
@@ -313,5 +313,5 @@ def test_configurations_are_read_by_their_type(folder):
 
 def test_this_process_is_not_the_one_without_them():
     """The message where the packages are missing is of tests/apps/test_photo_missing.py."""
-    code = "import vgmpi.apps.photo.pipeline, sys; sys.exit('torch' in sys.modules)"
+    code = "import vgmpi.tools.photo.pipeline, sys; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from tests.support import drawn_photograph
-from vgmpi.apps.photo import light_from_shadows, scene_light
-from vgmpi.apps.photo.__main__ import main
-from vgmpi.apps.photo.photo_camera import View
-from vgmpi.rendering.render_config import load
-from vgmpi.rendering.studio import light_rig
+from vgmpi.postprocess.frames.render_config import load
+from vgmpi.postprocess.studio import light_rig
+from vgmpi.tools.photo import light_from_shadows, scene_light
+from vgmpi.tools.photo.__main__ import main
+from vgmpi.tools.photo.photo_camera import View
 
 VIEW = View(300, 200, 40.0, 20.0)
 EYE = np.array([0.0, 0.0, 0.5])

@@ -10,15 +10,15 @@ from PIL import Image
 from scipy import ndimage
 
 from tests.support.launch import run
-from vgmpi.apps.photo import hollow_body, preview
-from vgmpi.apps.photo.__main__ import main
-from vgmpi.apps.photo.hollow_body import Cup
-from vgmpi.apps.photo.mask_to_mesh import Profile
-from vgmpi.apps.photo.photo_camera import View
 from vgmpi.gaussians.formats import registry
 from vgmpi.io.run_reader import RunReader
-from vgmpi.rendering import render_config
-from vgmpi.rendering.frame_renderer import FrameRenderer
+from vgmpi.postprocess.frames import render_config
+from vgmpi.postprocess.frames.frame_renderer import FrameRenderer
+from vgmpi.tools.photo import hollow_body, preview
+from vgmpi.tools.photo.__main__ import main
+from vgmpi.tools.photo.hollow_body import Cup
+from vgmpi.tools.photo.mask_to_mesh import Profile
+from vgmpi.tools.photo.photo_camera import View
 
 pytest.importorskip("cv2", reason="no OpenCV: pip install 'vgmpi[images]'")
 VIEW = View(320, 240, 20.0, 50.0)

@@ -6,7 +6,7 @@ import pytest
 
 from tests.support import drawn_photograph
 from tests.support.launch import ROOT, run
-from vgmpi.apps.photo import material_lookup
+from vgmpi.tools.photo import material_lookup
 
 BLOCKED = """
 import sys
@@ -15,7 +15,7 @@ class Blocked:
         if name.split(".")[0] == "{package}":
             raise ImportError(f"No module named '{{name}}'", name=name)
 sys.meta_path.insert(0, Blocked())
-from vgmpi.apps.photo.__main__ import main
+from vgmpi.tools.photo.__main__ import main
 sys.exit(main(sys.argv[1:]))
 """
 

@@ -12,11 +12,11 @@ from scipy import ndimage
 
 from tests.support import drawn_photograph
 from tests.support.launch import run
-from vgmpi.apps.photo import grabcut, preview
-from vgmpi.apps.photo.__main__ import main
 from vgmpi.io.run_reader import RunReader
-from vgmpi.rendering import render_config
-from vgmpi.rendering.frame_renderer import FrameRenderer
+from vgmpi.postprocess.frames import render_config
+from vgmpi.postprocess.frames.frame_renderer import FrameRenderer
+from vgmpi.tools.photo import grabcut, preview
+from vgmpi.tools.photo.__main__ import main
 
 cv2 = pytest.importorskip("cv2", reason="no OpenCV: pip install 'vgmpi[images]'")
 SECONDS = 60.0  # of processor time

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from vgmpi.apps.photo.layout_config import ObjectTable
-from vgmpi.apps.photo.object_placement import PlacingError, UnplacedObject, place
-from vgmpi.apps.photo.photo_camera import View
 from vgmpi.gaussians.cloud import GaussianCloud
+from vgmpi.tools.photo.layout_config import ObjectTable
+from vgmpi.tools.photo.object_placement import PlacingError, UnplacedObject, place
+from vgmpi.tools.photo.photo_camera import View
 
 VIEW, EYE = View(640, 480, 40.0, 20.0), 0.3
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from vgmpi.apps.photo import grabcut, layout_config, object_masks, photograph
+from vgmpi.tools.photo import grabcut, layout_config, object_masks, photograph
 
 pytest.importorskip("cv2", reason="no OpenCV: pip install 'vgmpi[images]'")
 BOX = grabcut.Box(40, 40, 260, 160)

@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 from scipy import ndimage
 
-from vgmpi.apps.photo import box_proposals, example_photographs, grabcut
+from vgmpi.tools.photo import box_proposals, example_photographs, grabcut
 
 pytest.importorskip("cv2", reason="no OpenCV: pip install 'vgmpi[images]'")
 HEIGHT, WIDTH = 400, 600

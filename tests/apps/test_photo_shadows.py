@@ -5,8 +5,8 @@ import pytest
 from scipy import ndimage
 
 from tests.support import drawn_photograph
-from vgmpi.apps.photo.cast_shadows import cast_shadows
-from vgmpi.apps.photo.photo_camera import View
+from vgmpi.tools.photo.cast_shadows import cast_shadows
+from vgmpi.tools.photo.photo_camera import View
 
 drawing = drawn_photograph.drawing
 VIEW, EYE = View(360, 240, 40.0, 12.0), 0.26
@@ -45,7 +45,7 @@ def test_shadows_leave_the_background_if_the_layout_asks_for_it(tmp_path, capfd)
     pytest.importorskip("cv2", reason="no OpenCV: pip install 'vgmpi[images]'")
     from PIL import Image
 
-    from vgmpi.apps.photo.__main__ import main
+    from vgmpi.tools.photo.__main__ import main
 
     drawn = drawn_photograph.three()
     bare = drawing.draw([], drawn_photograph.VIEW, drawn_photograph.EYE).rgb.astype(float)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vgmpi.apps.photo import mask_to_mesh
+from vgmpi.tools.photo import mask_to_mesh
 
 Y, X = np.mgrid[:160, :200] + 0.5
 DISC = (X - 70) ** 2 + (Y - 80) ** 2 < 50**2

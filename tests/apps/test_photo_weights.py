@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from tests.support import drawn_photograph, peak_memory
-from vgmpi.apps.photo import grabcut, material_lookup, preview
-from vgmpi.apps.photo.learned import clip, depth, sam
+from vgmpi.tools.photo import grabcut, material_lookup, preview
+from vgmpi.tools.photo.learned import clip, depth, sam
 
 MODELS = os.environ.get("VGMPI_MODELS")
 

@@ -5,9 +5,9 @@ import math
 import pytest
 
 from tests.support.small_scenes import MIXED, write
-from vgmpi.apps.run import cli, plan_command, rank_supervisor, start
-from vgmpi.apps.run.core_choice import choose_ranks, expected_particles, predicted_run_seconds
-from vgmpi.apps.run.flags import parse_arguments
+from vgmpi.commands import cli, plan_command, rank_supervisor, start
+from vgmpi.commands.core_choice import choose_ranks, expected_particles, predicted_run_seconds
+from vgmpi.commands.flags import parse_arguments
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.launch import describe_stop, launched_by
 from vgmpi.planning.cost.run_estimate import predicted_seconds

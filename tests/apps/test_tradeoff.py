@@ -11,13 +11,13 @@ import pytest
 
 from tests.support.launch import ROOT
 from tests.support.small_scenes import scene, write
-from vgmpi.apps.tradeoff import parameter_sweep, setting_study
-from vgmpi.apps.tradeoff.cost_error_model import CostError, CostErrorModel, pareto_front
-from vgmpi.apps.tradeoff.error_measures import RunOutcome, energy, mass_displacement
-from vgmpi.apps.tradeoff.parameter_sweep import BASELINE, Setting
-from vgmpi.apps.tradeoff.setting_study import DEFAULT
-from vgmpi.apps.tradeoff.study_runs import Study, StudyError
 from vgmpi.scene.loader import load
+from vgmpi.tools.tradeoff import parameter_sweep, setting_study
+from vgmpi.tools.tradeoff.cost_error_model import CostError, CostErrorModel, pareto_front
+from vgmpi.tools.tradeoff.error_measures import RunOutcome, energy, mass_displacement
+from vgmpi.tools.tradeoff.parameter_sweep import BASELINE, Setting
+from vgmpi.tools.tradeoff.setting_study import DEFAULT
+from vgmpi.tools.tradeoff.study_runs import Study, StudyError
 
 SCENE = """
 [accuracy]

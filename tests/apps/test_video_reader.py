@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from vgmpi.apps.fit.video_reader import describe_pictures, pictures_in
-from vgmpi.rendering.image_io import Film, write_png
+from vgmpi.postprocess.frames.image_io import Film, write_png
+from vgmpi.tools.fit.video_reader import describe_pictures, pictures_in
 
 LEVELS = 12  # difference of one picture from the next
 

@@ -12,9 +12,9 @@ from PIL import Image
 
 from tests.support import drawn_photograph
 from tests.support.foreign_configs import BOX, ONE, egg, several
-from vgmpi.apps.commands import main as vgmpi_main
-from vgmpi.apps.photo import example_photographs
+from vgmpi.commands.command_table import main as vgmpi_main
 from vgmpi.io.run_reader import RunReader
+from vgmpi.tools.photo import example_photographs
 
 LAYOUT = """
 [camera]

@@ -12,13 +12,13 @@ from typing import get_args
 from tests.benchmarks.comparison_commands import COMPARISON_COMMANDS
 from tests.benchmarks.liquid_commands import LIQUID_COMMANDS
 from tests.benchmarks.photograph_commands import PHOTOGRAPH_COMMANDS
-from vgmpi.apps.bench import interleaved_rounds
-from vgmpi.apps.bench.benchmark_case import BenchError, Case, lay_out
-from vgmpi.apps.bench.interleaved_rounds import Contestant
-from vgmpi.apps.bench.subcommands import parse_arguments, print_progress, run_command
 from vgmpi.io.run_reader import RunError
 from vgmpi.runtime.command_line import exit_code_from_exceptions
 from vgmpi.scene.sections import Transfer
+from vgmpi.tools.bench import interleaved_rounds
+from vgmpi.tools.bench.benchmark_case import BenchError, Case, lay_out
+from vgmpi.tools.bench.interleaved_rounds import Contestant
+from vgmpi.tools.bench.subcommands import parse_arguments, print_progress, run_command
 
 PROGRAM = "python -m tests.benchmarks"
 

@@ -7,10 +7,10 @@ out.
 import sys
 from typing import Any
 
-from vgmpi.apps.bench.benchmark_case import BenchError
-from vgmpi.apps.bench.board.board_cases import CASES
-from vgmpi.apps.bench.board.board_command import make_run
-from vgmpi.apps.bench.board.board_settings import IMPLICIT, RUNS, TWO_CORES
+from vgmpi.tools.bench.benchmark_case import BenchError
+from vgmpi.tools.bench.board.board_cases import CASES
+from vgmpi.tools.bench.board.board_command import make_run
+from vgmpi.tools.bench.board.board_settings import IMPLICIT, RUNS, TWO_CORES
 
 
 def runs_with_default_step(case: str) -> list[tuple[str, ...]]:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from tests.benchmarks.test_times import read_seconds
 from tests.support.long_tests import PATH, names_of
-from vgmpi.apps.bench.benchmark_case import BenchError
+from vgmpi.tools.bench.benchmark_case import BenchError
 
 LONG = 4.0  # seconds
 KEPT = {  # what `make test` runs however long it takes: folders, files, functions, tests

@@ -12,14 +12,14 @@ from pathlib import Path
 import numpy as np
 
 from tests.benchmarks.feature_free_copy import same_bits, stripped
-from vgmpi.apps.bench.benchmark_case import BenchError, Case, lay_out
-from vgmpi.apps.bench.interleaved_rounds import Contestant, Worker
+from vgmpi.tools.bench.benchmark_case import BenchError, Case, lay_out
+from vgmpi.tools.bench.interleaved_rounds import Contestant, Worker
 
 # runs in the other checkout
 LAY_OUT = """
 import sys
 from pathlib import Path
-from vgmpi.apps.bench.benchmark_case import Case, lay_out
+from vgmpi.tools.bench.benchmark_case import Case, lay_out
 lay_out(Case(sys.argv[1], int(sys.argv[2])), ["single"], Path(sys.argv[3]))
 """
 STRIPPED = Path("stripped")

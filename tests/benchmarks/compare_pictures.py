@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from vgmpi.apps.bench.benchmark_case import BenchError
+from vgmpi.tools.bench.benchmark_case import BenchError
 
 # runs in each checkout, the other of which may be an older one
 DRAW = """
@@ -24,8 +24,8 @@ import json, sys, time
 from pathlib import Path
 import numpy as np
 from vgmpi.io.run_reader import RunReader
-from vgmpi.rendering import render_config
-from vgmpi.rendering.frame_renderer import FrameRenderer
+from vgmpi.postprocess import render_config
+from vgmpi.postprocess.frames.frame_renderer import FrameRenderer
 run, settings, to, *frames = sys.argv[1:]
 chosen = render_config.load(settings)
 renderer = FrameRenderer(RunReader(run), chosen, Path(settings).parent)

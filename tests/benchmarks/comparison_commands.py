@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from vgmpi.apps.bench.subcommands import print_progress
+from vgmpi.tools.bench.subcommands import print_progress
 
 
 def _against(parser: argparse.ArgumentParser) -> None:

@@ -32,7 +32,7 @@ class Costs(event.Listener):
 
 costs = Costs()
 event.register("numba:compile", costs)
-from vgmpi.apps import commands
+from vgmpi.tools import commands
 code = commands.main(sys.argv[2:])
 json.dump(costs.rows, open(sys.argv[1], "w"))
 sys.exit(code)

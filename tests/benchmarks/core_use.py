@@ -20,9 +20,9 @@ from typing import NamedTuple
 import numpy as np
 
 from tests.support.launch import OPEN_MPI, ROOT
-from vgmpi.apps.bench.benchmark_case import BenchError
 from vgmpi.runtime.process_limits import FreeCores
 from vgmpi.solver.run import DONE, STOPPED
+from vgmpi.tools.bench.benchmark_case import BenchError
 
 SCENES = {  # overrides, and the steps of a part
     "splash": ((), 60),

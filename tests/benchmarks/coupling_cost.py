@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from vgmpi.apps.bench.vgmpi_contestant import Stages
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.scene.loader import load
 from vgmpi.solver.initial_particles import known_of, plan_for
 from vgmpi.solver.simulation import Simulation
+from vgmpi.tools.bench.vgmpi_contestant import Stages
 
 TANK = """
 [domain]

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from vgmpi.apps.bench.benchmark_case import Case, lay_out
-from vgmpi.apps.bench.interleaved_rounds import Contestant, Worker
+from vgmpi.tools.bench.benchmark_case import Case, lay_out
+from vgmpi.tools.bench.interleaved_rounds import Contestant, Worker
 
 
 def _seconds(answer: dict) -> float:
@@ -62,7 +62,7 @@ def threads(law: str, particles: int, rounds: int, count: int = 2) -> dict:
         rounds: Number of rounds.
         count: Number of threads.
     """
-    from vgmpi.apps.bench import vgmpi_contestant
+    from vgmpi.tools.bench import vgmpi_contestant
 
     with tempfile.TemporaryDirectory(prefix="vgmpi-bench-") as name:
         lay_out(Case(law, particles), ["single"], Path(name))

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 import vgmpi
-from vgmpi.apps.bench.benchmark_case import BenchError
 from vgmpi.io.run_reader import RunReader
+from vgmpi.tools.bench.benchmark_case import BenchError
 
 HERE = Path(vgmpi.__file__).parent
 LEFT_OUT = (

@@ -17,11 +17,11 @@ from vgmpi.gaussians.camera import Camera, look_at
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import ply
 from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
+from vgmpi.postprocess.raster.psnr import psnr
 from vgmpi.preprocess.built_object import BuiltObject
 from vgmpi.preprocess.object_builder import build_object
 from vgmpi.preprocess.pruning import image_similarity
 from vgmpi.preprocess.scene_builder import build_scene
-from vgmpi.rendering.raster.psnr import psnr
 from vgmpi.scene.scene import Scene
 
 PICTURE = Path(__file__).parents[2] / "docs" / "pictures" / "filling.jpg"

@@ -17,7 +17,7 @@ from statistics import median
 
 from tests.benchmarks.core_use import scene_file, wait_for_cores
 from tests.support.launch import ROOT
-from vgmpi.apps.bench.benchmark_case import BenchError
+from vgmpi.tools.bench.benchmark_case import BenchError
 
 COMMANDS = {  # words after `python -m vgmpi`; SCENE and OUT are paths
     "run, cold": ["SCENE", "-o", "OUT"],

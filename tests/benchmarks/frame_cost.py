@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from tests.support.launch import ROOT
-from vgmpi.apps.bench.benchmark_case import BenchError
 from vgmpi.io import file_layout
 from vgmpi.io.frames import Frames
 from vgmpi.parallel.communicator import SerialCommunicator
+from vgmpi.tools.bench.benchmark_case import BenchError
 
 TIMED = 5  # times that each is written; the least counts
 MOVE = np.float32(0.01)  # [m] by which positions differ from frame to frame

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from vgmpi.apps.bench.benchmark_case import KEYS
 from vgmpi.materials import registry
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.preprocess.scene_builder import build_scene
@@ -16,6 +15,7 @@ from vgmpi.scene.loader import load
 from vgmpi.solver.engine_registry import ENGINES
 from vgmpi.solver.initial_particles import known_of, plan_for
 from vgmpi.solver.simulation import Simulation
+from vgmpi.tools.bench.benchmark_case import KEYS
 
 CARDS = (80, 90)
 SCENE = """

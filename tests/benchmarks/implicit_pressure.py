@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tests.benchmarks.plane_liquid import PlaneLiquid
-from vgmpi.apps.bench.board.board_cases import GRAVITY, BoardState, FrontMeasure, LevelMeasure
+from vgmpi.tools.bench.board.board_cases import GRAVITY, BoardState, FrontMeasure, LevelMeasure
 
 SIDE = 2  # particles along the edge of a cell
 SPEED, COMPRESSION = 2.5, 0.01  # [m/s] that compresses the water by this share

@@ -17,12 +17,12 @@ import numpy as np
 from tests.physics.test_dam_break import FRONT_DEPTH, MPS, rms
 from tests.physics.test_poiseuille import starting
 from tests.support.oscillation import period
-from vgmpi.apps.tradeoff.error_measures import RunOutcome
-from vgmpi.apps.tradeoff.parameter_sweep import Setting
-from vgmpi.apps.tradeoff.study_runs import Study
 from vgmpi.planning.cost.accuracy_benchmarks import COLUMNS, PATH
 from vgmpi.scene.accuracy_presets import LEVELS
 from vgmpi.scene.loader import load
+from vgmpi.tools.tradeoff.error_measures import RunOutcome
+from vgmpi.tools.tradeoff.parameter_sweep import Setting
+from vgmpi.tools.tradeoff.study_runs import Study
 
 ROOT = Path(__file__).parents[2]
 SCENES = ROOT / "runs" / "accuracy"

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from vgmpi.api import Run
-from vgmpi.apps.bench.benchmark_case import KEYS
 from vgmpi.materials import registry
+from vgmpi.tools.bench.benchmark_case import KEYS
 
 DX = 0.02  # [m]
 WATER = {"kind": "fluid", "tait_coefficient": 5e4}

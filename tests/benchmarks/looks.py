@@ -24,8 +24,8 @@ import numpy as np
 from scipy import ndimage
 
 from vgmpi.io.run_reader import RunReader
-from vgmpi.rendering import render_config
-from vgmpi.rendering.frame_renderer import FrameRenderer
+from vgmpi.postprocess.frames import render_config
+from vgmpi.postprocess.frames.frame_renderer import FrameRenderer
 
 SIZE = {"width": 960, "height": 640}
 LENS = {"fov": 34, "azimuth": 25}
@@ -137,7 +137,7 @@ def steps(name: str, run: str, to: str) -> None:
     """Write what a picture is made of: albedo, normals, light without the liquid, the picture."""
     import imageio.v3 as iio
 
-    from vgmpi.rendering.studio import tone_mapping
+    from vgmpi.postprocess.studio import tone_mapping
 
     one, kept = painter(name, run), {}
     paint, composed = one.studio._paint, one.studio._composed

@@ -32,11 +32,12 @@ from vgmpi.gaussians.formats.motion_stream import (
 )
 from vgmpi.gaussians.formats.residual_coding import morton_order
 from vgmpi.io.run_reader import RunReader
-from vgmpi.rendering import render_config, web_page
-from vgmpi.rendering.appearance import Appearance
-from vgmpi.rendering.frame_renderer import visible_extent
-from vgmpi.rendering.raster import rasterize
-from vgmpi.rendering.run_motion import RunMotion
+from vgmpi.postprocess.export.run_motion import RunMotion
+from vgmpi.postprocess.frames import render_config
+from vgmpi.postprocess.frames.appearance import Appearance
+from vgmpi.postprocess.frames.frame_renderer import visible_extent
+from vgmpi.postprocess.raster import rasterize
+from vgmpi.postprocess.web import web_page
 
 TREMBLE = 0.01  # [cells] of a particle's own change of velocity per frame
 BODIES = 10

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from PIL import Image
 
-from vgmpi.apps.commands import main as vgmpi_main
+from vgmpi.commands.command_table import main as vgmpi_main
 from vgmpi.io.run_reader import RunReader
 
 PACKAGES = {  # folder of pictures by package

@@ -11,14 +11,14 @@ import numpy as np
 
 from tests.benchmarks.scaling_model import NEEDS, PARTICLES_PER_FULL_BLOCK, SilentCommunicator
 from tests.benchmarks.sort_scaling import cube
-from vgmpi.apps.bench import vgmpi_contestant
-from vgmpi.apps.bench.benchmark_case import Case, lay_out
 from vgmpi.parallel import exchange_topology
 from vgmpi.parallel.block_lattice import BITS, BLOCK_EDGE, INTEGER, BlockLattice
 from vgmpi.parallel.block_ownership import BlockDirectory
 from vgmpi.parallel.halo_exchange import HaloExchange
 from vgmpi.parallel.load_balance import owners, partition
 from vgmpi.solver.engines.cpu import Cpu
+from vgmpi.tools.bench import vgmpi_contestant
+from vgmpi.tools.bench.benchmark_case import Case, lay_out
 
 STAGES = ("p2g border", "pack", "p2g inner", "grid inner", "add", "grid border", "g2p")
 RESET_INTERVAL = 12  # [steps] the particles are reset to the start this often

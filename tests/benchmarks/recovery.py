@@ -18,13 +18,13 @@ import numpy as np
 from tests.support.fit_scenes import made
 from tests.support.recovery_scenes import CASES, Case
 from vgmpi import api
-from vgmpi.apps.fit.evaluations import Evaluations
-from vgmpi.apps.fit.fit_config import FitFile
-from vgmpi.apps.fit.run_pool import RunPool
-from vgmpi.apps.fit.run_renderer import Pictures
-from vgmpi.apps.fit.target_factory import target_of
-from vgmpi.apps.fit.workflow import interval, run_fit
-from vgmpi.rendering.image_io import to_bytes, write_png
+from vgmpi.postprocess.frames.image_io import to_bytes, write_png
+from vgmpi.tools.fit.evaluations import Evaluations
+from vgmpi.tools.fit.fit_config import FitFile
+from vgmpi.tools.fit.run_pool import RunPool
+from vgmpi.tools.fit.run_renderer import Pictures
+from vgmpi.tools.fit.target_factory import target_of
+from vgmpi.tools.fit.workflow import interval, run_fit
 
 NOISE = 0.05  # of a column's range, of white
 WIDTH, HEIGHT = 128, 96  # pixels

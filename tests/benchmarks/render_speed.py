@@ -19,11 +19,11 @@ import numpy as np
 
 from vgmpi.gaussians.camera import Camera, look_at, orbit_eye
 from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
-from vgmpi.rendering.appearance import Appearance
-from vgmpi.rendering.raster import rasterize
-from vgmpi.rendering.raster.shadow_lighting import Light
-from vgmpi.rendering.render_config import LiquidSettings
-from vgmpi.rendering.run_liquids import Liquids
+from vgmpi.postprocess.frames.appearance import Appearance
+from vgmpi.postprocess.frames.render_config import LiquidSettings
+from vgmpi.postprocess.frames.run_liquids import Liquids
+from vgmpi.postprocess.raster import rasterize
+from vgmpi.postprocess.raster.shadow_lighting import Light
 
 # kernels: seconds on an A100 (Table I)
 PAPER_SECONDS = {71_000: 0.07, 191_000: 0.13, 368_000: 0.26}

@@ -14,8 +14,8 @@ import h5py
 
 from tests.support.file_digests import digests
 from tests.support.launch import ROOT, mpirun
-from vgmpi.apps.bench.benchmark_case import BenchError
 from vgmpi.solver.run import STOPPED
+from vgmpi.tools.bench.benchmark_case import BenchError
 
 
 def compare_bits(

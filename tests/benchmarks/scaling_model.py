@@ -16,14 +16,14 @@ from pathlib import Path
 
 import numpy as np
 
-from vgmpi.apps.bench.benchmark_case import Case, lay_out
-from vgmpi.apps.bench.instrumented_contestant import WORK
-from vgmpi.apps.bench.interleaved_rounds import Contestant, Worker
 from vgmpi.parallel import exchange_topology, halo_exchange
 from vgmpi.parallel.block_lattice import BLOCK_EDGE, BlockLattice
 from vgmpi.parallel.block_ownership import BlockDirectory
 from vgmpi.parallel.communicator import PersistentExchange, SerialCommunicator
 from vgmpi.parallel.load_balance import BLOCK_COST, owners, partition
+from vgmpi.tools.bench.benchmark_case import Case, lay_out
+from vgmpi.tools.bench.instrumented_contestant import WORK
+from vgmpi.tools.bench.interleaved_rounds import Contestant, Worker
 
 PARTICLES_PER_FULL_BLOCK = 8 * BLOCK_EDGE**3  # particles of a full block
 SAMPLE = 8  # ranks of which tables are laid out

@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from tests.support.launch import ROOT, mpirun
-from vgmpi.apps.bench.benchmark_case import BenchError
 from vgmpi.solver.run import STOPPED
+from vgmpi.tools.bench.benchmark_case import BenchError
 
 SCENES = ("splash", "snowball", "sandbox", "castle_flood")
 STAGES = ("p2g", "halo", "grid", "g2p", "sort")

@@ -12,10 +12,10 @@ from collections.abc import Callable
 import numpy as np
 
 from tests.benchmarks.levels import SCENES, dam_break, hydrostatic, last
-from vgmpi.apps.tradeoff.error_measures import RunOutcome
-from vgmpi.apps.tradeoff.parameter_sweep import Setting
-from vgmpi.apps.tradeoff.study_runs import Study
 from vgmpi.scene.loader import load
+from vgmpi.tools.tradeoff.error_measures import RunOutcome
+from vgmpi.tools.tradeoff.parameter_sweep import Setting
+from vgmpi.tools.tradeoff.study_runs import Study
 
 COMPRESSIONS = (0.1, 0.04, 0.01, 0.0025)
 CELLS = {"hydrostatic": "1 cm", "dam_break": repr(0.584 / 48)}

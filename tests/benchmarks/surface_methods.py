@@ -9,7 +9,7 @@ import pysplashsurf
 import pyvista
 from vtkmodules.vtkFiltersPoints import vtkSPHCubicKernel, vtkSPHInterpolator
 
-from vgmpi.rendering.particle_surface import reconstruct_surface
+from vgmpi.postprocess.export.particle_surface import reconstruct_surface
 
 H = 0.005  # [m] distance of particles; a cell is twice as wide
 POOL = (0.16, 0.16, 0.08)

@@ -88,7 +88,7 @@ def bases(folder: Path) -> list[str]:
 
 def keys() -> list[str]:
     """Names of all keys there are."""
-    from vgmpi.rendering import render_config
+    from vgmpi.postprocess.frames import render_config
 
     tables = (render_config.Keyframe, render_config.CameraSettings, render_config.FloorSettings,
               render_config.PictureSettings, render_config.VideoSettings,

@@ -39,9 +39,9 @@ LONGEST = 3000  # characters of a line
 FREE = 128 << 20  # bytes that `available_memory` returns: larger cases are refused on any machine
 MODULES = {
     "vgmpi": ("vgmpi.__main__", "main"),
-    "render": ("postprocess.render", "command"),
-    "photo": ("vgmpi.apps.photo.__main__", "main"),
-    "convert": ("vgmpi.apps.convert.__main__", "main"),
+    "render": ("vgmpi.postprocess.commands.render", "command"),
+    "photo": ("vgmpi.tools.photo.__main__", "main"),
+    "convert": ("vgmpi.tools.convert.__main__", "main"),
 }
 _ADDRESSES = 16 << 30  # bytes: so that a fault does not take the machine with it
 _CASES = 200  # of a process: what the ones before left behind is not counted for long

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.support.small_scenes import write
-from vgmpi.apps.run import cli
+from vgmpi.commands import cli
 from vgmpi.parallel.communicator import SerialCommunicator
 
 pytest.importorskip("numba_cuda", reason="the extra `cuda` is not installed")

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from vgmpi.apps import command_reference, commands
+from vgmpi.commands import command_reference, command_table
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "commands.md"
 
@@ -13,6 +13,6 @@ def test_page_is_up_to_date():
     assert PAGE.read_text() == command_reference.page(), "run `make docs`"
 
 
-@pytest.mark.parametrize("name", commands.COMMANDS)
+@pytest.mark.parametrize("name", command_table.COMMANDS)
 def test_every_command_has_a_section(name):
     assert f"## vgmpi {name}\n" in PAGE.read_text()

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.foreign_configs import egg
-from vgmpi.apps.commands import main
+from vgmpi.commands.command_table import main
 from vgmpi.io.run_reader import RunReader
 from vgmpi.scene.loader import load
 

@@ -36,7 +36,7 @@ from vgmpi.gaussians.cloud import pack_symmetric, rotation_matrices, unpack_symm
 from vgmpi.gaussians.formats import motion_stream as layout
 from vgmpi.gaussians.formats import registry
 from vgmpi.gaussians.spherical_harmonics import C0
-from vgmpi.rendering.usd_stage import UsdStage
+from vgmpi.postprocess.export.usd_stage import UsdStage
 
 needs_tools = pytest.mark.skipif(
     programs.tools_folder() is None,

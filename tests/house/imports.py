@@ -4,7 +4,7 @@ import ast
 from collections import Counter
 from collections.abc import Callable, Mapping
 
-from tests.house.source_file import SourceFile
+from tests.house.source_file import SourceFile, name_module
 
 
 def list_imports(file: SourceFile, is_module: Callable[[str], bool]) -> set[str]:
@@ -14,7 +14,7 @@ def list_imports(file: SourceFile, is_module: Callable[[str], bool]) -> set[str]
         file: File.
         is_module: Whether a full name is that of a module; names in modules are left out.
     """
-    package = file.path.split("/")[:-1]
+    package = name_module(f"{file.path.rpartition('/')[0]}/__init__.py").split(".")
     imported = set()
     for node in file.nodes:
         if isinstance(node, ast.Import):

@@ -11,7 +11,7 @@ TENSORS = (
     "vgmpi/kernels/",
     "vgmpi/solver/engines/cuda/",
     "vgmpi/gaussians/shape_evolution.py",
-    "vgmpi/rendering/studio/body_normals.py",
+    "postprocess/studio/body_normals.py",
     "vgmpi/gaussians/compiled_evolution.py",
 )
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-PROGRAM = ("vgmpi", "postprocess")
+PROGRAM = ("vgmpi", "postprocess")  # vgmpi/postprocess is a link, which nothing here follows
 FUNCTION = ast.FunctionDef | ast.AsyncFunctionDef
 
 
@@ -59,8 +59,12 @@ class SourceFile:
 
 
 def name_module(path: str) -> str:
-    """Return the name of the module of a file: vgmpi.io for vgmpi/io/__init__.py."""
-    return path.removesuffix(".py").replace("/", ".").removesuffix(".__init__")
+    """Return the name of the module of a file: vgmpi.io for vgmpi/io/__init__.py.
+
+    Modules of postprocess/ begin with vgmpi.postprocess, by the link in vgmpi.
+    """
+    name = path.removesuffix(".py").replace("/", ".").removesuffix(".__init__")
+    return f"vgmpi.{name}" if path.startswith("postprocess/") else name
 
 
 def list_files(*folders: str) -> list[str]:

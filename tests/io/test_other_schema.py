@@ -7,7 +7,7 @@ import pytest
 
 from tests.support import damaged_files
 from tests.support.small_scenes import PEBBLE, write
-from vgmpi.apps import commands
+from vgmpi.commands import command_table
 from vgmpi.io import file_layout
 
 OTHER = file_layout.SCHEMA + 1
@@ -30,7 +30,7 @@ def out(tmp_path):
 
 def refusal(capsys, caplog, *words):
     """The only line of a command that ends with exit code 2."""
-    assert commands.main([*map(str, words)]) == 2
+    assert command_table.main([*map(str, words)]) == 2
     (line,) = (capsys.readouterr().err + caplog.text).splitlines()
     return line
 

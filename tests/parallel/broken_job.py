@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 
-from vgmpi.apps.run import cli
+from vgmpi.commands import cli
 from vgmpi.parallel.block_lattice import BLOCK_CENTER
 from vgmpi.runtime.command_line import exit_code_from_exceptions
 from vgmpi.solver.simulation import Simulation

@@ -7,6 +7,6 @@ import tests.support.cuda_simulator  # noqa: F401  (before anything of numba's)
 
 if __name__ == "__main__":
     warnings.filterwarnings("ignore", category=RuntimeWarning)
-    from vgmpi.apps.run import cli
+    from vgmpi.commands import cli
 
     sys.exit(cli.main(sys.argv[1:]))

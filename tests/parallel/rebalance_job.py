@@ -9,7 +9,7 @@ import sys
 
 import numpy as np
 
-from vgmpi.apps.run import cli
+from vgmpi.commands import cli
 from vgmpi.kernels.transfer import g2p
 from vgmpi.parallel import load_balance, migration
 

@@ -46,7 +46,7 @@ def report():
 
 
 communicator._MpiLink.__init__ = record
-from vgmpi.apps.run.cli import main
+from vgmpi.commands.cli import main
 
 raise SystemExit(main([%r, "-q", "-o", %r]))
 """

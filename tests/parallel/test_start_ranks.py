@@ -12,7 +12,7 @@ from tests.campaigns import kills
 from tests.support.file_digests import files
 from tests.support.launch import PATIENCE, ROOT, until
 from tests.support.small_scenes import MIXED, write
-from vgmpi.apps.run import rank_supervisor
+from vgmpi.commands import rank_supervisor
 
 pytestmark = pytest.mark.mpi
 LONG = ("--set", "time.end=100", "--set", "time.frames=2")

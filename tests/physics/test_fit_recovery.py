@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from tests.benchmarks.recovery import CASES, honest, recover
-from vgmpi.apps.fit import __main__ as fit
 from vgmpi.scene.loader import load
+from vgmpi.tools.fit import __main__ as fit
 
 EXAMPLE = Path(__file__).parents[2] / "runs" / "consolidation"
 

@@ -10,10 +10,10 @@ import pytest
 import vgmpi
 from tests.physics import test_hydrostatic, test_slosh
 from tests.support.simulate import advance, begin, totals
-from vgmpi.apps.bench.board.board_cases import CASES
-from vgmpi.apps.bench.board.board_run import timed_run
-from vgmpi.apps.bench.board.vgmpi_board_solver import Solver
 from vgmpi.features.implicit_pressure import coupling as implicit_pressure
+from vgmpi.tools.bench.board.board_cases import CASES
+from vgmpi.tools.bench.board.board_run import timed_run
+from vgmpi.tools.bench.board.vgmpi_board_solver import Solver
 
 IMPLICIT = 'pressure = "implicit"'
 DROPS = """

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.support.small_scenes import write
-from vgmpi.apps.run import cli
+from vgmpi.commands import cli
 from vgmpi.planning.cost import tradeoff_results
 from vgmpi.planning.cost.plan_report import format_plan
 from vgmpi.planning.plan import time_step_bounds

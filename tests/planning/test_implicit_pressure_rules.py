@@ -5,7 +5,7 @@ import math
 import pytest
 
 import vgmpi
-from vgmpi.apps.run import cli
+from vgmpi.commands import cli
 from vgmpi.scene.loader import SceneError
 
 SCENE = """

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from vgmpi.apps.run import cli
+from vgmpi.commands import cli
 
 SCENE = """
 [domain]

@@ -11,7 +11,7 @@ import pytest
 
 from tests.support.simulate import advance, begin, by_id
 from tests.support.small_scenes import scene
-from vgmpi.apps.run import cli
+from vgmpi.commands import cli
 from vgmpi.planning.cost.timestep_advice import soft_liquid_lines
 from vgmpi.preprocess.initial_conditions import closed_box_tensions, liquid_weights
 from vgmpi.preprocess.scene_builder import build_scene

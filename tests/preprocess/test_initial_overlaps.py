@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.support.small_scenes import scene
-from vgmpi.apps.run import cli
+from vgmpi.commands import cli
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import ply
 from vgmpi.preprocess.meshes.surface_mesh import quaternion_to_normal

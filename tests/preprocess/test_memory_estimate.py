@@ -188,7 +188,7 @@ CASES = {
 CHECK = """
 import contextlib, io, json, sys
 from tests.support import peak_memory
-from vgmpi.apps.run import cli
+from vgmpi.commands import cli
 from vgmpi.runtime import process_limits
 process_limits.available_memory = lambda swap=False: 8 << 30  # on any machine
 for command in json.loads(sys.argv[1]):

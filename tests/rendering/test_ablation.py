@@ -9,8 +9,8 @@ from tests.benchmarks.paper import __main__, ablation, contact_sheet, image_metr
 from tests.rendering.test_look import EYE, fake, frame
 from tests.support import drawn_runs
 from vgmpi.io.run_reader import RunReader
-from vgmpi.rendering import render_config
-from vgmpi.rendering.appearance import Appearance
+from vgmpi.postprocess.frames import render_config
+from vgmpi.postprocess.frames.appearance import Appearance
 
 WATER, BAR = slice(0, drawn_runs.WATER), slice(drawn_runs.WATER, None)
 TOML = """[camera]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.benchmarks import render_speed
-from vgmpi.rendering.raster import rasterize
+from vgmpi.postprocess.raster import rasterize
 
 
 def test_the_object_is_opaque_and_fills_most_of_the_picture():

@@ -8,8 +8,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from vgmpi.gaussians.camera import look_at
-from vgmpi.rendering import camera_selection
-from vgmpi.rendering.render_config import SettingsError
+from vgmpi.postprocess.frames import camera_selection
+from vgmpi.postprocess.frames.render_config import SettingsError
 
 LENS = {"fl_x": 90.0, "fl_y": 80.0, "cx": 60.0, "cy": 30.0, "w": 128, "h": 64}
 

@@ -8,9 +8,9 @@ from numba.core import event
 
 from tests.support import drawn_runs
 from vgmpi.io.run_reader import RunReader
-from vgmpi.rendering import frame_processes, render_config
-from vgmpi.rendering.frame_renderer import FrameRenderer
-from vgmpi.rendering.studio import compositing, liquid_radiance, spray_drops
+from vgmpi.postprocess.frames import frame_processes, render_config
+from vgmpi.postprocess.frames.frame_renderer import FrameRenderer
+from vgmpi.postprocess.studio import compositing, liquid_radiance, spray_drops
 from vgmpi.runtime import compiled_kernels
 
 LAST = compositing.compose, liquid_radiance.find_surface, spray_drops.paint_drops

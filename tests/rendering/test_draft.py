@@ -6,11 +6,12 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from postprocess import render
 from tests.support import drawn_runs
 from vgmpi.io.run_reader import RunReader
-from vgmpi.rendering import render_config, studio_renderer
-from vgmpi.rendering.frame_renderer import FrameRenderer
+from vgmpi.postprocess.commands import render
+from vgmpi.postprocess.frames import render_config
+from vgmpi.postprocess.frames.frame_renderer import FrameRenderer
+from vgmpi.postprocess.studio import studio_renderer
 
 PICTURE = "[picture]\nwidth = 200\nheight = 150\nsupersample = 2\n[video]\nshutter = 0.5\n"
 

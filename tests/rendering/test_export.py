@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from postprocess import export
 from tests.gaussians.test_glb import parsed
 from tests.rendering.test_look import fake, frame
 from tests.support import drawn_runs
@@ -20,8 +19,9 @@ from vgmpi.gaussians.camera import look_at
 from vgmpi.gaussians.cloud import GaussianCloud, principal_axes, rotation_matrices, unpack_symmetric
 from vgmpi.gaussians.formats import registry
 from vgmpi.io.run_reader import RunReader
-from vgmpi.rendering.appearance import Appearance
-from vgmpi.rendering.raster import rasterize
+from vgmpi.postprocess.commands import export
+from vgmpi.postprocess.frames.appearance import Appearance
+from vgmpi.postprocess.raster import rasterize
 
 ROOT = Path(__file__).resolve().parents[2]
 GUITAR = ROOT.parent / "shared" / "data" / "guitar.compressed.ply"
@@ -210,7 +210,7 @@ def test_what_a_format_loses_is_said(tmp_path):
 
 @pytest.mark.parametrize("kind", ["spz", "compressed.ply"])
 def test_the_command_runs_by_itself(out, tmp_path, kind):
-    command = [sys.executable, "-m", "postprocess.export", str(out), "--format", kind]
+    command = [sys.executable, "-m", "vgmpi", "export", str(out), "--format", kind]
     done = subprocess.run(
         [*command, "-o", str(tmp_path), "--frames", "0"], cwd=ROOT, capture_output=True, text=True
     )

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from postprocess import export
 from tests.support import captured_runs
 from tests.support.captured_runs import PICTURE
 from vgmpi.gaussians.formats import registry
 from vgmpi.io.run_reader import RunReader
-from vgmpi.rendering import web_page
-from vgmpi.rendering.appearance import Appearance
-from vgmpi.rendering.run_motion import RunMotion
+from vgmpi.postprocess.commands import export
+from vgmpi.postprocess.export.run_motion import RunMotion
+from vgmpi.postprocess.frames.appearance import Appearance
+from vgmpi.postprocess.web import web_page
 
 
 @pytest.fixture(scope="module")

@@ -5,8 +5,8 @@ import pytest
 
 from vgmpi.gaussians.camera import look_at
 from vgmpi.gaussians.cloud import pack_symmetric, unpack_symmetric
-from vgmpi.rendering.raster import rasterize
-from vgmpi.rendering.raster.ground_plane import GroundPlane, cast_shadow, composite_ground
+from vgmpi.postprocess.raster import rasterize
+from vgmpi.postprocess.raster.ground_plane import GroundPlane, cast_shadow, composite_ground
 
 LOW = look_at((0.0, -2.0, 1.0), (0, 0, 0), (0, 0, 1), 40, 90, 70)
 TOP = look_at((0.0, 0.0, 4.0), (0, 0, 0), (0, 1, 0), 40, 101, 101)

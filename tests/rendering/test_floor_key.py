@@ -4,9 +4,9 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from postprocess import render
 from tests.support import drawn_runs
-from vgmpi.rendering import render_config
+from vgmpi.postprocess.commands import render
+from vgmpi.postprocess.frames import render_config
 
 CAMERA = '[camera]\nkind = "fixed"\neye = [0.5, -2.5, 1.8]\ntarget = [0.5, 0.5, 0.2]\n'
 SMALL = "[picture]\nwidth = 96\nheight = 80\n"

@@ -11,11 +11,11 @@ from tests.support import drawn_runs
 from tests.support.launch import mpirun
 from vgmpi.gaussians.spherical_harmonics import C0
 from vgmpi.io.run_reader import RunReader
-from vgmpi.rendering.appearance import Appearance
-from vgmpi.rendering.frame_colors import FOLDER, FrameColors
-from vgmpi.rendering.frame_processes import render_in_processes
-from vgmpi.rendering.frame_renderer import FrameRenderer
-from vgmpi.rendering.render_config import LookSettings, Settings, SettingsError
+from vgmpi.postprocess.frames.appearance import Appearance
+from vgmpi.postprocess.frames.frame_colors import FOLDER, FrameColors
+from vgmpi.postprocess.frames.frame_processes import render_in_processes
+from vgmpi.postprocess.frames.frame_renderer import FrameRenderer
+from vgmpi.postprocess.frames.render_config import LookSettings, Settings, SettingsError
 
 # two colors that swirl into each other, and a solid that keeps its own
 SCENE = """

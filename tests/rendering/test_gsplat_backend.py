@@ -16,8 +16,8 @@ from tests.rendering.test_splat import camera, scene
 from tests.support import dense_rasterizer
 from vgmpi.gaussians.camera import Camera
 from vgmpi.gaussians.cloud import unpack_symmetric
-from vgmpi.rendering.raster import rasterize
-from vgmpi.rendering.raster.gsplat_backend import BackendError
+from vgmpi.postprocess.raster import rasterize
+from vgmpi.postprocess.raster.gsplat_backend import BackendError
 
 
 class Tensor:

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from numpy.polynomial.polynomial import polyvander3d
 
-from postprocess.render import FrameRenderer
 from tests.support.launch import mpirun
 from vgmpi.gaussians import spherical_harmonics
 from vgmpi.gaussians.formats import ply
 from vgmpi.io.run_reader import RunReader
-from vgmpi.rendering.appearance import Appearance
-from vgmpi.rendering.raster import rasterize
-from vgmpi.rendering.render_config import load
+from vgmpi.postprocess.commands.render import FrameRenderer
+from vgmpi.postprocess.frames.appearance import Appearance
+from vgmpi.postprocess.frames.render_config import load
+from vgmpi.postprocess.raster import rasterize
 
 ROOT = Path(__file__).resolve().parents[2]
 GUITAR = ROOT.parent / "shared" / "data" / "guitar.compressed.ply"

@@ -12,10 +12,10 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from postprocess import render
 from tests.support import drawn_runs
 from tests.support.launch import finish, start, until
-from vgmpi.rendering import frame_progress, frame_renderer, image_io
+from vgmpi.postprocess.commands import render
+from vgmpi.postprocess.frames import frame_progress, frame_renderer, image_io
 
 FRAMES = 24
 SMALL = drawn_runs.on_paper("[picture]\nwidth = 64\nheight = 48\n")
@@ -31,7 +31,7 @@ def begin(out, folder, *flags):
     """Start to draw a video with two processes, and wait for its second picture."""
     (folder / "render.toml").write_text(SLOW)
     files = [out, folder / "render.toml", "-o", folder / "v.mp4", "--frames", folder / "p"]
-    words = [sys.executable, "-m", "postprocess.render", *files, "--jobs", 2, *flags]
+    words = [sys.executable, "-m", "vgmpi", "render", *files, "--jobs", 2, *flags]
     process = start([str(word) for word in words])
     second = folder / "p" / "frame_00001.png"
     until(lambda: second.exists() or process.poll() is not None, "the second picture")
@@ -180,7 +180,7 @@ def test_no_lines_if_quiet(out, tmp_path, monkeypatch, capsys, caplog):
 
 BUSY = """
 import multiprocessing, time
-from vgmpi.rendering.frame_processes import end_with_parent
+from vgmpi.postprocess.frames.frame_processes import end_with_parent
 
 def work():
     end_with_parent()

@@ -8,14 +8,14 @@ times v times the time of a frame.
 import numpy as np
 import pytest
 
-from postprocess import render
 from tests.rendering.test_light import balls
 from tests.support import drawn_runs
 from vgmpi.gaussians.camera import look_at, thin_lens_sample
 from vgmpi.io.run_reader import RunError, RunReader
-from vgmpi.rendering.frame_renderer import FrameRenderer
-from vgmpi.rendering.raster import rasterize
-from vgmpi.rendering.render_config import load
+from vgmpi.postprocess.commands import render
+from vgmpi.postprocess.frames.frame_renderer import FrameRenderer
+from vgmpi.postprocess.frames.render_config import load
+from vgmpi.postprocess.raster import rasterize
 
 CAMERA = look_at((0, -2.0, 0), (0, 0, 0), (0, 0, 1), 40, 201, 201)
 

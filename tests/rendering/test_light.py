@@ -12,9 +12,9 @@ from tests.rendering.test_liquid import balls
 from tests.support import drawn_runs
 from vgmpi.gaussians.camera import look_at
 from vgmpi.io.run_reader import RunReader
-from vgmpi.rendering.appearance import Appearance, _random
-from vgmpi.rendering.raster import ground_plane, shadow_lighting
-from vgmpi.rendering.render_config import LookSettings, SettingsError
+from vgmpi.postprocess.frames.appearance import Appearance, _random
+from vgmpi.postprocess.frames.render_config import LookSettings, SettingsError
+from vgmpi.postprocess.raster import ground_plane, shadow_lighting
 
 SHEET = np.stack(np.meshgrid(*(np.linspace(-0.5, 0.5, 161),) * 2, [0.0]), -1).reshape(-1, 3)
 R, HIGH = 0.1, 0.3

@@ -10,9 +10,9 @@ import pytest
 
 from vgmpi.gaussians.camera import look_at
 from vgmpi.gaussians.cloud import pack_symmetric
-from vgmpi.rendering.raster import ground_plane, liquid_depth, liquid_shading, liquid_surface
-from vgmpi.rendering.raster.rasterize import ProjectableGaussians, render
-from vgmpi.rendering.raster.tile_blend import to_tiles
+from vgmpi.postprocess.raster import ground_plane, liquid_depth, liquid_shading, liquid_surface
+from vgmpi.postprocess.raster.rasterize import ProjectableGaussians, render
+from vgmpi.postprocess.raster.tile_blend import to_tiles
 
 H, DEEP, INDEX = 0.01, 0.2, 1.333
 OPTIONS = {"lowpass": 0.3, "antialias": False, "alpha_min": 1 / 255}

@@ -17,10 +17,10 @@ from vgmpi.io import csv_log, file_layout, run_lock, run_progress
 from vgmpi.io.csv_log import ConservationLog, CsvLog
 from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.rendering import field_values, render_config
-from vgmpi.rendering.live import drawn_view, run_tables, saved_camera
-from vgmpi.rendering.live.followed_run import FollowedRun
-from vgmpi.rendering.live.saved_camera import View
+from vgmpi.postprocess.frames import field_values, render_config
+from vgmpi.postprocess.live import drawn_view, run_tables, saved_camera
+from vgmpi.postprocess.live.followed_run import FollowedRun
+from vgmpi.postprocess.live.saved_camera import View
 
 EYE = np.array([3.0, 0.0, 1.0])
 VIEW = View((1.0, -2.0, 0.5), (0.0, 0.0, 0.25), (0.0, 0.0, 1.0), 40.0, 1.5)

@@ -13,10 +13,10 @@ from tests.support.live_pages import LivePageProcess, Viewer
 viser = pytest.importorskip("viser", reason='needs viser: pip install "vgmpi[live]"')
 import msgspec  # noqa: E402
 
-from vgmpi.rendering import render_config  # noqa: E402
-from vgmpi.rendering.live import guarded_server, viewer_messages  # noqa: E402
-from vgmpi.rendering.live.followed_run import FollowedRun  # noqa: E402
-from vgmpi.rendering.live.live_page import LivePage, PageOptions  # noqa: E402
+from vgmpi.postprocess.frames import render_config  # noqa: E402
+from vgmpi.postprocess.live import guarded_server, viewer_messages  # noqa: E402
+from vgmpi.postprocess.live.followed_run import FollowedRun  # noqa: E402
+from vgmpi.postprocess.live.live_page import LivePage, PageOptions  # noqa: E402
 
 CONTROLS = ("frame", "following", "playing", "rate", "color", "plot", "stop", "save", "draw")
 WRONG_VALUES = (

@@ -21,9 +21,9 @@ from tests.support.live_pages import (
 )
 from vgmpi.io import checkpoint_manifest
 from vgmpi.io.run_reader import RunReader
-from vgmpi.rendering import render_config
-from vgmpi.rendering.camera_paths import CameraPath
-from vgmpi.rendering.frame_renderer import visible_extent
+from vgmpi.postprocess.frames import render_config
+from vgmpi.postprocess.frames.camera_paths import CameraPath
+from vgmpi.postprocess.frames.frame_renderer import visible_extent
 
 pytestmark = pytest.mark.browser
 SCENE_PIXELS = 560  # of the window, left of the panel

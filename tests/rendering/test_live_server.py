@@ -11,12 +11,12 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from postprocess import live
 from tests.support import drawn_runs
 from tests.support.launch import run, until
 from tests.support.live_pages import ROW_BYTES, LivePageProcess, Viewer
-from vgmpi.apps.run import cli
+from vgmpi.commands import cli
 from vgmpi.io.run_reader import RunReader
+from vgmpi.postprocess.commands import live
 
 viser = pytest.importorskip("viser", reason='needs viser: pip install "vgmpi[live]"')
 from websockets.exceptions import InvalidStatus  # noqa: E402
@@ -221,7 +221,7 @@ def test_without_viser_one_line_says_what_to_install(out, monkeypatch, capfd):
 def test_a_viser_that_cannot_be_guarded_is_not_used(monkeypatch):
     """Where viser opened its port by other means, nobody would check the requests."""
     from vgmpi.io.run_reader import RunError
-    from vgmpi.rendering.live import guarded_server
+    from vgmpi.postprocess.live import guarded_server
 
     stopped = []
 
@@ -240,7 +240,7 @@ def test_a_viser_that_cannot_be_guarded_is_not_used(monkeypatch):
 
 def test_no_browser_publishes_the_page():
     """viser's share button asks a server of its makers for a public address."""
-    from vgmpi.rendering.live import guarded_server
+    from vgmpi.postprocess.live import guarded_server
 
     sock = guarded_server.open_socket("127.0.0.1", 0)
     rules = guarded_server.AccessRules(None, sock.getsockname()[1])

@@ -10,8 +10,8 @@ from tests.support import drawn_runs
 from vgmpi.gaussians import compiled_evolution, shape_evolution, spherical_harmonics
 from vgmpi.gaussians.cloud import unpack_symmetric
 from vgmpi.io.run_reader import RunError
-from vgmpi.rendering.appearance import ALPHA_MIN_FAINT, Appearance
-from vgmpi.rendering.raster.rasterize import ALPHA_MIN
+from vgmpi.postprocess.frames.appearance import ALPHA_MIN_FAINT, Appearance
+from vgmpi.postprocess.raster.rasterize import ALPHA_MIN
 
 EYE = np.array([0.5, -2.0, 1.0])
 

@@ -7,8 +7,8 @@ from tests.rendering.test_look import EYE, fake, frame
 from tests.support import drawn_runs
 from vgmpi.gaussians import shape_evolution, spherical_harmonics
 from vgmpi.gaussians.cloud import unpack_symmetric
-from vgmpi.rendering.appearance import Appearance
-from vgmpi.rendering.render_config import LookSettings, SettingsError
+from vgmpi.postprocess.frames.appearance import Appearance
+from vgmpi.postprocess.frames.render_config import LookSettings, SettingsError
 
 WATER, BAR = slice(0, drawn_runs.WATER), slice(drawn_runs.WATER, None)
 

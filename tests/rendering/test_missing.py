@@ -7,13 +7,13 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from postprocess import export, render, view
 from tests.support import damaged_files, drawn_runs
 from vgmpi.io import file_layout, initial_state
 from vgmpi.io.frames import Frames
 from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.rendering.appearance import Appearance
+from vgmpi.postprocess.commands import export, render, view
+from vgmpi.postprocess.frames.appearance import Appearance
 
 SMALL = "[picture]\nwidth = 96\nheight = 80\n[camera]\nrevolutions = 0.5\n"
 GONE = 2

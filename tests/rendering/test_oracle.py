@@ -9,7 +9,7 @@ from tests.support import dense_rasterizer
 from vgmpi.gaussians import spherical_harmonics
 from vgmpi.gaussians.camera import Camera
 from vgmpi.gaussians.cloud import GaussianCloud, unpack_symmetric
-from vgmpi.rendering.raster import rasterize
+from vgmpi.postprocess.raster import rasterize
 
 FOLDER = Path(__file__).resolve().parents[2].parent / "shared" / "oracle"
 SCENES = ("fluid_2000_lowopacity", "sh3_300", "tiny_1500_subpixel")

@@ -9,17 +9,17 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from postprocess import render
 from tests.rendering.test_camerafiles import as_transforms
 from tests.rendering.test_video import gradient, read
 from tests.support import drawn_runs
 from tests.support.launch import mpirun
 from vgmpi.gaussians.camera import look_at
-from vgmpi.rendering import frame_renderer, image_io
+from vgmpi.postprocess.commands import render
+from vgmpi.postprocess.frames import frame_renderer, image_io
 
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = "[picture]\nwidth = 96\nheight = 80\n"
-DRAW = ("-m", "postprocess.render")
+DRAW = ("-m", "vgmpi", "render")
 TWO = '[[camera]]\nname = "south"\nazimuth = 0\n[[camera]]\nname = "east"\nazimuth = 90\n'
 
 

@@ -7,11 +7,11 @@ import pytest
 import pyvista
 
 import vgmpi
-from postprocess import export
 from tests.support import drawn_runs, launch
 from tests.support.file_digests import files
 from vgmpi.io.run_reader import RunReader
-from vgmpi.rendering import particle_surface
+from vgmpi.postprocess.commands import export
+from vgmpi.postprocess.export import particle_surface
 
 pytest.importorskip("pysplashsurf", reason="needs pysplashsurf: pip install 'vgmpi[mesh]'")
 
@@ -135,7 +135,7 @@ def test_values_are_interpolated():
 
 def test_the_same_particles_give_the_same_bytes(run, tmp_path):
     """In another process, too."""
-    command = [sys.executable, "-m", "postprocess.export", run, "--surface", "water", "-q"]
+    command = [sys.executable, "-m", "vgmpi", "export", run, "--surface", "water", "-q"]
     for name in ("a", "b"):
         done = launch.run([*command, "--frames", "-1", "-o", tmp_path / name])
         assert done.returncode == 0, done.stderr

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import vgmpi
-from postprocess import export
 from tests.preprocess.test_prune import GUITAR, SCENE, duck_obj
 from tests.support.small_scenes import scene
 from vgmpi.gaussians import shape_evolution, spherical_harmonics
@@ -16,12 +15,13 @@ from vgmpi.gaussians.cloud import unpack_symmetric
 from vgmpi.io import file_layout
 from vgmpi.io.run_reader import RunReader, inspect
 from vgmpi.parallel.communicator import SerialCommunicator
+from vgmpi.postprocess.commands import export
+from vgmpi.postprocess.frames.appearance import Appearance
+from vgmpi.postprocess.frames.render_config import LookSettings
+from vgmpi.postprocess.raster.rasterize import render
 from vgmpi.preprocess.built_object import CARRIERS, bind_passive
 from vgmpi.preprocess.pruning import image_similarity
 from vgmpi.preprocess.scene_builder import build_scene
-from vgmpi.rendering.appearance import Appearance
-from vgmpi.rendering.raster.rasterize import render
-from vgmpi.rendering.render_config import LookSettings
 from vgmpi.solver.initial_particles import prepare, write_initial_particles
 
 RIDING = 'mesh = "duck.obj"\nprune = "auto"\npassive_gaussians = true'

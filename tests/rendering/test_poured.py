@@ -10,11 +10,11 @@ from tests.support.small_scenes import scene
 from vgmpi import api
 from vgmpi.io import csv_log
 from vgmpi.io.run_reader import RunReader, inspect
-from vgmpi.rendering.appearance import Appearance
-from vgmpi.rendering.render_config import LookSettings
-from vgmpi.rendering.studio.lattice_deformation import stretches
-from vgmpi.rendering.studio_bodies import tearing
-from vgmpi.rendering.studio_renderer import STREAM_STRETCH
+from vgmpi.postprocess.frames.appearance import Appearance
+from vgmpi.postprocess.frames.render_config import LookSettings
+from vgmpi.postprocess.studio.lattice_deformation import stretches
+from vgmpi.postprocess.studio.studio_bodies import tearing
+from vgmpi.postprocess.studio.studio_renderer import STREAM_STRETCH
 from vgmpi.scene import inlet_geometry
 
 SCENE = """

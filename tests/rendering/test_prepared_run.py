@@ -6,8 +6,8 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from postprocess import render
 from tests.support import drawn_runs
+from vgmpi.postprocess.commands import render
 
 SMALL = drawn_runs.on_paper("[picture]\nwidth = 96\nheight = 80\n")
 

@@ -8,7 +8,6 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from postprocess import render, view
 from tests.rendering.test_video import read
 from tests.support import drawn_runs
 from vgmpi.gaussians.formats import ply
@@ -16,9 +15,10 @@ from vgmpi.io import file_layout, initial_state
 from vgmpi.io.frames import Frames
 from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.rendering import frame_renderer, image_io
-from vgmpi.rendering.raster import rasterize
-from vgmpi.rendering.render_config import Settings
+from vgmpi.postprocess.commands import render, view
+from vgmpi.postprocess.frames import frame_renderer, image_io
+from vgmpi.postprocess.frames.render_config import Settings
+from vgmpi.postprocess.raster import rasterize
 
 ROOT = Path(__file__).resolve().parents[2]
 GUITAR = ROOT.parent / "shared" / "data" / "guitar.compressed.ply"
@@ -157,7 +157,7 @@ def test_mistakes_end_with_code_2_and_one_line(out, tmp_path, capfd, argv, says)
 
 
 def test_the_command_runs_by_itself(out, tmp_path):
-    command = [sys.executable, "-m", "postprocess.render", str(out), toml(tmp_path)]
+    command = [sys.executable, "-m", "vgmpi", "render", str(out), toml(tmp_path)]
     done = subprocess.run(
         [*command, "-o", str(tmp_path / "v.mp4")], cwd=ROOT, capture_output=True, text=True
     )
@@ -184,9 +184,9 @@ SLOW = (  # to load, and of no use for one picture
 )
 PREVIEW = """
 import gc, runpy, sys
-sys.argv += ["--preview"]
+sys.argv[1:] = ["render", *sys.argv[1:], "--preview"]
 try:
-    runpy.run_module("postprocess.render", run_name="__main__")
+    runpy.run_module("vgmpi", run_name="__main__")
 except SystemExit as end:
     print(end.code, gc.get_freeze_count() > 10_000, *sys.modules)
 """

@@ -8,7 +8,6 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from postprocess import render
 from tests.rendering.test_splat import camera, scene
 from tests.support import captured_runs, dense_rasterizer
 from tests.support.captured_runs import (
@@ -29,13 +28,14 @@ from vgmpi.gaussians.cloud import unpack_symmetric
 from vgmpi.gaussians.formats import registry
 from vgmpi.io import file_layout, hdf5_validation, integrity
 from vgmpi.io.run_reader import RunReader, inspect
+from vgmpi.postprocess.commands import render
+from vgmpi.postprocess.frames import render_config
+from vgmpi.postprocess.frames.appearance import Appearance
+from vgmpi.postprocess.frames.frame_renderer import FrameRenderer
+from vgmpi.postprocess.raster import liquid_surface, rasterize
+from vgmpi.postprocess.raster.shadow_lighting import Light, shadow_visibility
 from vgmpi.preprocess.pruning import image_similarity
 from vgmpi.preprocess.scene_builder import build_scene
-from vgmpi.rendering import render_config
-from vgmpi.rendering.appearance import Appearance
-from vgmpi.rendering.frame_renderer import FrameRenderer
-from vgmpi.rendering.raster import liquid_surface, rasterize
-from vgmpi.rendering.raster.shadow_lighting import Light, shadow_visibility
 from vgmpi.runtime.config.schema import SceneError
 
 # a Gaussian of 0.3 pixels: variance 0.09 pixels^2, and what a lowpass leaves of its opacity

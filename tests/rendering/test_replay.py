@@ -8,11 +8,11 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from postprocess import replay
 from tests.support import drawn_runs
 from tests.support.headless_browser import browser_of, new_page
 from vgmpi.io.run_reader import RunReader
-from vgmpi.rendering.appearance import Appearance
+from vgmpi.postprocess.commands import replay
+from vgmpi.postprocess.frames.appearance import Appearance
 
 
 @pytest.fixture(scope="module")

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import vgmpi
-from postprocess import view
 from vgmpi.io.run_reader import RunReader
-from vgmpi.rendering.frame_renderer import visible_extent
+from vgmpi.postprocess.commands import view
+from vgmpi.postprocess.frames.frame_renderer import visible_extent
 
 SCENE = """
 [domain]

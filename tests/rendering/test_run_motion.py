@@ -21,9 +21,9 @@ from vgmpi.gaussians.formats.motion_stream import (
 )
 from vgmpi.gaussians.formats.residual_coding import MAX_BIN, SEGMENT, CodedRows
 from vgmpi.gaussians.formats.validation import GaussianFileError
+from vgmpi.postprocess.export.run_motion import RunMotion
+from vgmpi.postprocess.frames.appearance import Appearance
 from vgmpi.preprocess.scene_builder import build_scene
-from vgmpi.rendering.appearance import Appearance
-from vgmpi.rendering.run_motion import RunMotion
 
 ACCURACY = 1e-3  # [cells]
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vgmpi.rendering import scenery_filling
+from vgmpi.postprocess.frames import scenery_filling
 
 GAP = 0.05  # [m] spacing of a skin
 NOBODY = np.zeros((0, 3))

@@ -9,8 +9,8 @@ import pytest
 
 from tests.support.small_scenes import ROOM, write
 from vgmpi.gaussians.camera import look_at
+from vgmpi.postprocess.raster import rasterize
 from vgmpi.preprocess.scene_builder import build_scene
-from vgmpi.rendering.raster import rasterize
 from vgmpi.scene.loader import load
 
 CLAY = '[[object]]\nname = "a"\nmaterial = "clay"\nshape = { box = [[0, 0, 0], [0.1, 0.1, 0.1]] }\n'

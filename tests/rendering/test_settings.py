@@ -2,11 +2,11 @@
 
 import pytest
 
-from postprocess import render
 from tests.support import drawn_runs
 from vgmpi.io.run_reader import RunReader
-from vgmpi.rendering import render_config
-from vgmpi.rendering.frame_renderer import FrameRenderer
+from vgmpi.postprocess.commands import render
+from vgmpi.postprocess.frames import render_config
+from vgmpi.postprocess.frames.frame_renderer import FrameRenderer
 from vgmpi.runtime import process_limits
 
 FULL = """

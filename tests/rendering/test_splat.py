@@ -6,8 +6,8 @@ import pytest
 from tests.support import dense_rasterizer
 from vgmpi.gaussians.camera import Camera, look_at
 from vgmpi.gaussians.cloud import pack_symmetric, unpack_symmetric
-from vgmpi.rendering.raster import rasterize
-from vgmpi.rendering.raster.tile_blend import BATCH
+from vgmpi.postprocess.raster import rasterize
+from vgmpi.postprocess.raster.tile_blend import BATCH
 
 MODES = {
     "classic": {"lowpass": 0.3, "antialias": False},

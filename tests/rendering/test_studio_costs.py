@@ -5,9 +5,9 @@ import pytest
 
 from tests.rendering.test_studio_normals import BODY, CLEAR
 from tests.support import solid_runs, studio_scenes
-from vgmpi.rendering.raster import liquid_surface
-from vgmpi.rendering.raster.rasterize import ProjectableGaussians
-from vgmpi.rendering.studio import cone_occlusion, deferred_shading, surface_edges
+from vgmpi.postprocess.raster import liquid_surface
+from vgmpi.postprocess.raster.rasterize import ProjectableGaussians
+from vgmpi.postprocess.studio import cone_occlusion, deferred_shading, surface_edges
 
 BOX = '[[object]]\nname = "thing"\nshape = { box = [[0.12, 0.12, 0.12], [0.28, 0.28, 0.28]] }\n'
 

@@ -5,7 +5,7 @@ import pytest
 
 from tests.rendering.test_studio_normals import BODY, CLEAR, MESH, ROLES, angles, seen
 from tests.support import solid_runs
-from vgmpi.rendering.studio import surface_edges
+from vgmpi.postprocess.studio import surface_edges
 
 SHAPES = {
     "sphere": "{ sphere = { center = [0.2, 0.2, 0.2], radius = 0.1 } }",

@@ -7,8 +7,8 @@ from tests.support import drawn_runs
 from vgmpi.io import file_layout, initial_state
 from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.rendering import render_config
-from vgmpi.rendering.frame_renderer import FrameRenderer
+from vgmpi.postprocess.frames import render_config
+from vgmpi.postprocess.frames.frame_renderer import FrameRenderer
 
 NO_TABLE = ["3", '"sun"', "true", "[1, 2]", "nan", "inf", "-1", "1e300", "[]", '[["a"]]']
 NO_NUMBER = ['"many"', "nan", "inf", "-inf", "-1", "1e300", "[]", "[1, 2, 3]", "{}", "1979-05-27"]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.support import studio_scenes
-from vgmpi.rendering.studio import deferred_shading, studio_ground, tile_light, tone_mapping
+from vgmpi.postprocess.studio import deferred_shading, studio_ground, tile_light, tone_mapping
 
 H, THICK = 0.0125, 0.1  # m: of walls in a box of 1 m
 

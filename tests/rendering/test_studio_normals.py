@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 from tests.support import solid_runs
 from vgmpi.gaussians.cloud import GaussianCloud, rotation_matrices
-from vgmpi.rendering.studio import body_normals
+from vgmpi.postprocess.studio import body_normals
 
 MESH = """
 [[object]]

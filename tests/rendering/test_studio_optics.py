@@ -10,7 +10,7 @@ import pytest
 
 from tests.support import studio_scenes
 from tests.support.studio_scenes import INDEX, fresnel, inner
-from vgmpi.rendering.studio import deferred_shading, liquid_radiance, studio_ground
+from vgmpi.postprocess.studio import deferred_shading, liquid_radiance, studio_ground
 
 H, DEEP = 0.01, 0.2
 POOL = studio_scenes.grid_points((60, 60, 20), H)

@@ -9,16 +9,16 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-import vgmpi.rendering.studio
-from postprocess import render
+import vgmpi.postprocess.studio
 from tests.support import drawn_runs
 from tests.support.launch import mpirun
 from vgmpi.io.run_reader import RunReader
-from vgmpi.rendering import render_config
-from vgmpi.rendering.frame_renderer import FrameRenderer
+from vgmpi.postprocess.commands import render
+from vgmpi.postprocess.frames import render_config
+from vgmpi.postprocess.frames.frame_renderer import FrameRenderer
 
 SMALL = "[picture]\nwidth = 64\nheight = 48\n"
-DRAW = ("-m", "postprocess.render")
+DRAW = ("-m", "vgmpi", "render")
 TWO = '[[camera]]\nname = "south"\nazimuth = 0\n[[camera]]\nname = "east"\nazimuth = 90\n'
 CLEAR = 'background = "none"\n'
 # the bar is in the middle of the picture, 2.5 m away
@@ -221,8 +221,8 @@ def test_a_run_of_one_frame_of_one_body_is_drawn(tmp_path):
 def test_rounding_does_not_depend_on_what_was_compiled_before():
     """With fastmath 515 pixels of the splash changed when tests had compiled functions first."""
     count = 0
-    for found in pkgutil.iter_modules(vgmpi.rendering.studio.__path__):
-        module = importlib.import_module(f"vgmpi.rendering.studio.{found.name}")
+    for found in pkgutil.iter_modules(vgmpi.postprocess.studio.__path__):
+        module = importlib.import_module(f"vgmpi.postprocess.studio.{found.name}")
         for name, function in vars(module).items():
             options = getattr(function, "targetoptions", None)
             if options is not None:

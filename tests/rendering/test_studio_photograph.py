@@ -6,10 +6,10 @@ import pytest
 
 from tests.support import drawn_runs, studio_scenes
 from vgmpi.io.run_reader import RunReader
-from vgmpi.rendering import render_config
-from vgmpi.rendering.frame_renderer import FrameRenderer
-from vgmpi.rendering.particle_optics import optical_values
-from vgmpi.rendering.studio import (
+from vgmpi.postprocess.frames import render_config
+from vgmpi.postprocess.frames.frame_renderer import FrameRenderer
+from vgmpi.postprocess.frames.particle_optics import optical_values
+from vgmpi.postprocess.studio import (
     compositing,
     deferred_shading,
     light_rig,

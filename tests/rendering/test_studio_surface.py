@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.support import studio_scenes
-from vgmpi.rendering.studio import density_field, lattice_deformation
+from vgmpi.postprocess.studio import density_field, lattice_deformation
 
 S = 0.01
 SLAB = (24, 16, 6)

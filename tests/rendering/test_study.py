@@ -8,7 +8,7 @@ import pytest
 from tests.benchmarks.paper import __main__, portrait_metrics, table1_pruning
 from tests.support import launch
 from vgmpi.io.run_reader import RunReader
-from vgmpi.rendering.appearance import Appearance
+from vgmpi.postprocess.frames.appearance import Appearance
 
 TINY = {
     "domain.size": '["40 cm", "32 cm", "40 cm"]',

@@ -11,8 +11,8 @@ import pytest
 
 from vgmpi.gaussians.camera import look_at
 from vgmpi.gaussians.cloud import GaussianCloud, quaternion
-from vgmpi.rendering.appearance import Appearance
-from vgmpi.rendering.raster import rasterize
+from vgmpi.postprocess.frames.appearance import Appearance
+from vgmpi.postprocess.raster import rasterize
 
 MIDDLE = np.array([0.4, 0.5, 0.6])
 EYE = np.array([1.1, -1.6, 1.3])

@@ -8,11 +8,11 @@ from pathlib import Path
 import imageio_ffmpeg
 import pytest
 
-from postprocess import render, view
 from tests.support import drawn_runs
 from tests.support.launch import run
-from vgmpi.apps.fit import __main__ as fit
+from vgmpi.postprocess.commands import render, view
 from vgmpi.runtime import user_files
+from vgmpi.tools.fit import __main__ as fit
 
 SMALL = drawn_runs.on_paper("[picture]\nwidth = 64\nheight = 48\n")
 

@@ -5,18 +5,19 @@ import sys
 import numpy as np
 import pytest
 
-from postprocess import export
 from tests.support import drawn_runs
-from vgmpi.apps.run import cli
+from vgmpi.commands import cli
 from vgmpi.gaussians import spherical_harmonics as harmonics
 from vgmpi.gaussians.cloud import GaussianCloud, rotation_matrices
 from vgmpi.io.run_reader import RunError, RunReader
-from vgmpi.rendering import render_config, usd_stage
-from vgmpi.rendering.appearance import Appearance
-from vgmpi.rendering.camera_paths import CameraPath
-from vgmpi.rendering.collider_meshes import collider_meshes
-from vgmpi.rendering.frame_renderer import visible_extent
-from vgmpi.rendering.run_motion import RunMotion
+from vgmpi.postprocess.commands import export
+from vgmpi.postprocess.export import usd_stage
+from vgmpi.postprocess.export.run_motion import RunMotion
+from vgmpi.postprocess.frames import render_config
+from vgmpi.postprocess.frames.appearance import Appearance
+from vgmpi.postprocess.frames.camera_paths import CameraPath
+from vgmpi.postprocess.frames.collider_meshes import collider_meshes
+from vgmpi.postprocess.frames.frame_renderer import visible_extent
 
 FRAMES = 5
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from tests.support.headless_browser import FLAGS, browser_of, new_page
-from vgmpi.apps.fit.video_reader import pictures_in
-from vgmpi.rendering import image_io
+from vgmpi.postprocess.frames import image_io
+from vgmpi.tools.fit.video_reader import pictures_in
 
 COLORS = np.array([*np.eye(3) * 255, (224, 112, 48), (90, 90, 90), (0,) * 3, (255,) * 3], int)
 FORMATS = ((".mp4", False), (".webm", False), (".webm", True), (".gif", False))

@@ -6,18 +6,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from postprocess import replay
 from tests.support import drawn_runs
 from vgmpi.gaussians.camera import look_at
 from vgmpi.io.run_reader import RunReader
-from vgmpi.rendering import render_config, viewer_scene
-from vgmpi.rendering.appearance import Appearance
-from vgmpi.rendering.frame_renderer import visible_extent
-from vgmpi.rendering.gaussian_selection import GaussianSelection
-from vgmpi.rendering.live import guarded_server
-from vgmpi.rendering.live.followed_run import FollowedRun
-from vgmpi.rendering.live.live_page import LivePage, PageOptions
-from vgmpi.rendering.live.saved_camera import save_camera, view_of_camera
+from vgmpi.postprocess.commands import replay
+from vgmpi.postprocess.frames import render_config
+from vgmpi.postprocess.frames.appearance import Appearance
+from vgmpi.postprocess.frames.frame_renderer import visible_extent
+from vgmpi.postprocess.live import guarded_server, viewer_scene
+from vgmpi.postprocess.live.followed_run import FollowedRun
+from vgmpi.postprocess.live.gaussian_selection import GaussianSelection
+from vgmpi.postprocess.live.live_page import LivePage, PageOptions
+from vgmpi.postprocess.live.saved_camera import save_camera, view_of_camera
 
 viser = pytest.importorskip("viser", reason='needs viser: pip install "vgmpi[live]"')
 

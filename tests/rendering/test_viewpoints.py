@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from tests.rendering.test_camerafiles import as_transforms, cameras
-from vgmpi.rendering import render_config
-from vgmpi.rendering.camera_paths import CameraPath
+from vgmpi.postprocess.frames import render_config
+from vgmpi.postprocess.frames.camera_paths import CameraPath
 
 BOX = (np.zeros(3), np.ones(3))
 KEYS = """[camera]

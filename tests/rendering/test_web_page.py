@@ -11,7 +11,6 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from postprocess import export
 from tests.support import drawn_runs
 from tests.support.headless_browser import browser_of, new_page
 from tests.support.picture_noise import psnr
@@ -29,10 +28,11 @@ from vgmpi.gaussians.formats.motion_stream import (
 from vgmpi.gaussians.formats.residual_coding import SEGMENT, CodedRows
 from vgmpi.gaussians.formats.validation import GaussianFileError
 from vgmpi.io.run_reader import RunReader
-from vgmpi.rendering import web_page
-from vgmpi.rendering.appearance import Appearance
-from vgmpi.rendering.raster import rasterize
-from vgmpi.rendering.run_motion import RunMotion
+from vgmpi.postprocess.commands import export
+from vgmpi.postprocess.export.run_motion import RunMotion
+from vgmpi.postprocess.frames.appearance import Appearance
+from vgmpi.postprocess.raster import rasterize
+from vgmpi.postprocess.web import web_page
 
 FRAMES = KEY_INTERVAL + 4  # more than one key frame
 EYE, TARGET, FOV = (0.2, -1.7, 1.2), (0.5, 0.5, 0.4), 40.0

@@ -2,8 +2,7 @@
 
 import pytest
 
-from vgmpi.apps import commands
-from vgmpi.apps.run import flags
+from vgmpi.commands import command_table, flags
 
 
 def line_of(call, capsys):
@@ -28,15 +27,15 @@ def test_a_flag_that_does_not_exist(words, hint, capsys):
 
 
 def test_a_flag_of_the_renderer(capsys):
-    line = line_of(lambda: commands.main(["render", "out", "--previw"]), capsys)
+    line = line_of(lambda: command_table.main(["render", "out", "--previw"]), capsys)
     assert line.startswith("vgmpi render: ") and "(did you mean '--preview'?)" in line
 
 
 def test_a_command_that_does_not_exist(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert commands.main(["rendr", "out"]) == 2
+    assert command_table.main(["rendr", "out"]) == 2
     said = capsys.readouterr().err
     assert said == "vgmpi: there is no command or scene 'rendr' (did you mean 'render'?)\n"
     (tmp_path / "rendr").write_text("nonsense")
-    assert commands.main(["rendr", "--check"]) == 2
+    assert command_table.main(["rendr", "--check"]) == 2
     assert "no command" not in capsys.readouterr().err

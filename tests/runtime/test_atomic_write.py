@@ -45,13 +45,13 @@ def test_no_other_place_writes_files_of_users():
     pattern = re.compile(r"\.write_text\(|\.write_bytes\(|open\([^)]*[\"'][wx]b?[\"']")
     allowed = {
         "vgmpi/runtime/user_files.py",
-        "vgmpi/rendering/frame_colors.py",  # a cache
+        "postprocess/frames/frame_colors.py",  # a cache
         "vgmpi/runtime/compile_cache.py",  # a cache, with checksums
-        "vgmpi/apps/bench/benchmark_case.py",  # scenes in a temporary folder
-        "vgmpi/apps/bench/interleaved_rounds.py",  # a log of a temporary folder
+        "vgmpi/tools/bench/benchmark_case.py",  # scenes in a temporary folder
+        "vgmpi/tools/bench/interleaved_rounds.py",  # a log of a temporary folder
         "vgmpi/io/hdf5_writer.py",  # large files, beside and renamed as well
-        "postprocess/replay.py",  # os.devnull
+        "postprocess/commands/replay.py",  # os.devnull
     }
-    files = [*ROOT.glob("vgmpi/**/*.py"), *ROOT.glob("postprocess/*.py")]
+    files = [*ROOT.glob("vgmpi/**/*.py"), *ROOT.glob("postprocess/**/*.py")]
     found = {str(p.relative_to(ROOT)) for p in files if pattern.search(p.read_text())}
     assert found <= allowed

@@ -6,14 +6,14 @@ import sys
 import pytest
 
 from tests.support.launch import run
-from vgmpi.apps import commands
+from vgmpi.commands import command_table
 from vgmpi.runtime import process_limits
 
 
 @pytest.mark.parametrize("text", ["0", "-2", "two", ""])
 def test_a_number_of_threads_that_is_none(text, monkeypatch, capsys):
     monkeypatch.setenv("NUMBA_NUM_THREADS", text)
-    assert commands.main(["scene.toml"]) == 2
+    assert command_table.main(["scene.toml"]) == 2
     wanted = f"vgmpi: NUMBA_NUM_THREADS: must be a whole number of at least 1; got {text!r}\n"
     assert capsys.readouterr().err == wanted
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from tests.support import launch
-from vgmpi.apps.run import cli
+from vgmpi.commands import cli
 from vgmpi.io.run_reader import RunError, RunReader, inspect, read_gaussians
+from vgmpi.postprocess.frames import camera_selection, image_io
+from vgmpi.postprocess.frames.render_config import SettingsError
 from vgmpi.preprocess.meshes import triangle_mesh
-from vgmpi.rendering import camera_selection, image_io
-from vgmpi.rendering.render_config import SettingsError
 from vgmpi.runtime import process_limits, user_files
 
 
@@ -69,7 +69,7 @@ def test_settings_cameras_and_backgrounds_are_files(odd):
 
 
 def test_settings_of_a_renderer_are_a_file(odd):
-    command = [sys.executable, "-m", "postprocess.render", odd.parent, odd]
+    command = [sys.executable, "-m", "vgmpi", "render", odd.parent, odd]
     done = launch.run(command)
     kind = "is a folder" if odd.is_dir() else "is no regular file"
     assert done.returncode == 2 and kind in done.stderr, done.stderr

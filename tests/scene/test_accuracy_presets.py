@@ -7,12 +7,12 @@ import pytest
 
 from tests.benchmarks import levels as measured
 from tests.support.small_scenes import write
-from vgmpi.apps.tradeoff.parameter_sweep import Setting
-from vgmpi.apps.tradeoff.study_runs import Study
 from vgmpi.planning.cost.accuracy_benchmarks import accuracy_benchmarks, preset_accuracy_lines
 from vgmpi.runtime.config.schema import SceneError
 from vgmpi.scene.accuracy_presets import LEVELS, apply_accuracy_preset
 from vgmpi.scene.loader import load
+from vgmpi.tools.tradeoff.parameter_sweep import Setting
+from vgmpi.tools.tradeoff.study_runs import Study
 
 SCENE = """
 [domain]

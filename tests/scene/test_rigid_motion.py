@@ -13,9 +13,9 @@ from vgmpi.gaussians.spherical_harmonics import evaluate
 from vgmpi.io.frames import Frames
 from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.parallel.communicator import SerialCommunicator
+from vgmpi.postprocess.frames.appearance import Appearance
 from vgmpi.preprocess.collider_sdf import with_motion
 from vgmpi.preprocess.scene_builder import build_scene
-from vgmpi.rendering.appearance import Appearance
 from vgmpi.scene.loader import load
 from vgmpi.scene.rigid_motion import Motion, Trajectories, Trajectory
 

@@ -9,7 +9,7 @@ import pytest
 from tests.solver.test_run_folder import SCENE, files
 from tests.support.damaged_files import forge
 from tests.support.small_scenes import write
-from vgmpi.apps.run import cli
+from vgmpi.commands import cli
 from vgmpi.io import checkpoint, file_layout
 
 SCENE = SCENE.replace('"single"', '"double"') + (

@@ -8,7 +8,7 @@ import time
 import pytest
 
 from tests.support.small_scenes import ROOM, write
-from vgmpi.apps.run import cli
+from vgmpi.commands import cli
 from vgmpi.planning.cost.feature_costs import group_features
 from vgmpi.planning.cost.throughput import ASSUMED_THROUGHPUT, Throughput
 from vgmpi.planning.plan import make_plan

@@ -8,7 +8,7 @@ import pytest
 from tests.support.engine_pair import of_scene, worst
 from tests.support.simulate import advance, begin, by_id
 from tests.support.small_scenes import scene
-from vgmpi.apps.run.cli import main
+from vgmpi.commands.cli import main
 from vgmpi.kernels.step_records import StepReport
 from vgmpi.kernels.transfer.g2p import OUT_OF_DOMAIN
 from vgmpi.planning.cost.plan_report import format_plan

@@ -5,7 +5,7 @@ No graphics card is asked, and nothing is computed before.
 
 import pytest
 
-from vgmpi.apps.run import cli
+from vgmpi.commands import cli
 
 SCENE = """
 [domain]

@@ -10,7 +10,7 @@ import pytest
 
 from tests.support.engine_pair import of_scene, worst
 from tests.support.small_scenes import LAWS
-from vgmpi.apps.run import cli
+from vgmpi.commands import cli
 from vgmpi.solver.engine_registry import ENGINES
 
 STEPS, SORT_AT = 8, 3  # particles of liquids are shifted before the seventh

@@ -10,7 +10,7 @@ import pytest
 from tests.benchmarks.liquid_volume import nodal_fullness
 from tests.support.launch import mpirun
 from tests.support.simulate import advance, begin, by_id
-from vgmpi.apps.run import cli
+from vgmpi.commands import cli
 from vgmpi.io import csv_log, file_layout
 from vgmpi.solver import run
 from vgmpi.solver.diagnostics.conservation import conservation_rows

@@ -15,7 +15,7 @@ import pytest
 
 import vgmpi
 from tests.support.small_scenes import write
-from vgmpi.apps.run import cli
+from vgmpi.commands import cli
 from vgmpi.io.run_reader import RunReader
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.planning.cost import pilot_result, step_overhead

@@ -15,7 +15,7 @@ import vgmpi
 from tests.support.file_digests import files
 from tests.support.launch import PATIENCE, ROOT
 from tests.support.small_scenes import write
-from vgmpi.apps.run import cli
+from vgmpi.commands import cli
 from vgmpi.io import checkpoint, csv_log, file_layout, run_lock, run_reader
 from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.parallel.communicator import SerialCommunicator

@@ -13,11 +13,11 @@ from numba.core.runtime import _nrt_python, rtsys
 from tests.support import simulated_ranks
 from tests.support.simulate import begin
 from tests.support.small_scenes import MIXED
-from vgmpi.apps.bench import instrumented_contestant
-from vgmpi.apps.bench.benchmark_case import Case, lay_out
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.runtime.compiled_kernels import compiled_marker
 from vgmpi.solver import compile_kernels
+from vgmpi.tools.bench import instrumented_contestant
+from vgmpi.tools.bench.benchmark_case import Case, lay_out
 
 
 @pytest.fixture

@@ -32,10 +32,10 @@ with signals_heard():
 # a run that gets SIGUSR1 while its module is loaded
 EARLY = """
 import importlib, os, signal, sys
-from vgmpi.apps import commands
+from vgmpi.tools import commands
 load = importlib.import_module
 def load_late(name, package=None):
-    if name == "vgmpi.apps.run.start":
+    if name == "vgmpi.commands.start":
         os.kill(os.getpid(), signal.SIGUSR1)
     return load(name, package)
 importlib.import_module = load_late

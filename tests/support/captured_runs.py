@@ -11,10 +11,10 @@ from vgmpi.io import file_layout
 from vgmpi.io.frames import Frames
 from vgmpi.io.run_reader import RunReader, read_gaussians
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.rendering import render_config
-from vgmpi.rendering.appearance import Appearance
-from vgmpi.rendering.camera_paths import CameraPath
-from vgmpi.rendering.frame_renderer import FrameRenderer, visible_extent
+from vgmpi.postprocess.frames import render_config
+from vgmpi.postprocess.frames.appearance import Appearance
+from vgmpi.postprocess.frames.camera_paths import CameraPath
+from vgmpi.postprocess.frames.frame_renderer import FrameRenderer, visible_extent
 from vgmpi.solver.initial_particles import prepare, write_initial_particles
 
 SCENE = """

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from vgmpi.apps.photo import grabcut
-from vgmpi.apps.photo.photo_camera import View
 from vgmpi.gaussians.formats import registry
+from vgmpi.tools.photo import grabcut
+from vgmpi.tools.photo.photo_camera import View
 
 ROOT = Path(__file__).parents[2]
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vgmpi.apps.photo.photo_camera import View
+from vgmpi.tools.photo.photo_camera import View
 
 FINE = 2  # rays per pixel and axis
 TILE = 0.3  # [m]

@@ -6,11 +6,11 @@ import numpy as np
 from PIL import Image
 
 from tests.support import drawn_photograph
-from vgmpi.apps.photo.photo_camera import View
 from vgmpi.gaussians import spherical_harmonics as harmonics
 from vgmpi.gaussians.formats import ply
+from vgmpi.postprocess.raster import rasterize
 from vgmpi.preprocess.placement import UP, axis_rotation
-from vgmpi.rendering.raster import rasterize
+from vgmpi.tools.photo.photo_camera import View
 
 VIEW, EYE = View(480, 360, 36.0, 22.0), 0.30
 PLACE, TALL = np.array([0.05, 0.62, 0.0]), 0.14

@@ -77,7 +77,7 @@ def fitted_alone(folder: Path, fit: str) -> Path:
 
 def command(scene: Path, fit: Path, out: Path, *flags) -> list:
     """The command of a fit."""
-    return [sys.executable, "-m", "vgmpi.apps.fit", scene, fit, "-o", out, *flags]
+    return [sys.executable, "-m", "vgmpi.tools.fit", scene, fit, "-o", out, *flags]
 
 
 def go(scene: Path, fit: Path, out: Path, *flags):

@@ -4,11 +4,11 @@ import json
 
 import numpy as np
 
-from vgmpi.apps.convert.scene_converter import convert_scene
-from vgmpi.apps.run.cli import main as vgmpi
+from vgmpi.commands.cli import main as vgmpi
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import registry
 from vgmpi.scene.loader import load
+from vgmpi.tools.convert.scene_converter import convert_scene
 
 CELL = 2 / 20  # of ONE
 ONE = {

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from vgmpi.apps.fit.run_pool import CompletedRun
-from vgmpi.apps.fit.video_prior.model_base import VideoModel
-from vgmpi.apps.fit.video_prior.score_distillation import Level
+from vgmpi.tools.fit.run_pool import CompletedRun
+from vgmpi.tools.fit.video_prior.model_base import VideoModel
+from vgmpi.tools.fit.video_prior.score_distillation import Level
 
 KEYS = ("material.rubber.youngs_modulus", "material.rubber.density")
 PARAMETERS = """

@@ -7,10 +7,10 @@ from vgmpi.io import file_layout
 from vgmpi.io.frames import Frames
 from vgmpi.io.run_reader import RunReader, read_gaussians
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.rendering import render_config
-from vgmpi.rendering.frame_renderer import FrameRenderer
-from vgmpi.rendering.raster.rasterize import supersampled_camera
-from vgmpi.rendering.studio.ray_scene import view_of
+from vgmpi.postprocess.frames import render_config
+from vgmpi.postprocess.frames.frame_renderer import FrameRenderer
+from vgmpi.postprocess.raster.rasterize import supersampled_camera
+from vgmpi.postprocess.studio.ray_scene import view_of
 from vgmpi.solver.initial_particles import prepare, write_initial_particles
 
 MIDDLE = np.array([0.2, 0.2, 0.2])  # [m] of the domain

@@ -4,7 +4,7 @@ picture."""
 import numpy as np
 
 from vgmpi.gaussians.camera import look_at
-from vgmpi.rendering.studio import (
+from vgmpi.postprocess.studio import (
     compositing,
     deferred_shading,
     density_field,
@@ -14,9 +14,9 @@ from vgmpi.rendering.studio import (
     studio_ground,
     tone_mapping,
 )
-from vgmpi.rendering.studio import cone_occlusion as hiding
-from vgmpi.rendering.studio.ray_scene import CHANNELS, Medium, Stage, View
-from vgmpi.rendering.studio_renderer import STRETCH
+from vgmpi.postprocess.studio import cone_occlusion as hiding
+from vgmpi.postprocess.studio.ray_scene import CHANNELS, Medium, Stage, View
+from vgmpi.postprocess.studio.studio_renderer import STRETCH
 
 INDEX = 1.333
 WALLED = np.ones(6, bool)

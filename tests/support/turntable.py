@@ -7,8 +7,8 @@ import numpy as np
 from PIL import Image
 
 from tests.support.drawn_photograph import drawing
-from vgmpi.apps.photo import visual_hull
 from vgmpi.gaussians.camera import Camera, look_at
+from vgmpi.tools.photo import visual_hull
 
 TOY = [
     drawing.Can((0.0, 0.0, 0.0), 0.045, 0.07, (0.16, 0.34, 0.62), (0.30, 0.42, 0.70)),

@@ -19,9 +19,9 @@ from tests.benchmarks.paper import contact_sheet
 from tests.benchmarks.paper.image_metrics import ImageMetrics, Regions, kinds, measured, regions
 from vgmpi.gaussians.shape_evolution import FAMILIES_DRAWN_AS_SPHERES
 from vgmpi.io.run_reader import RunError, RunReader
-from vgmpi.rendering import image_io, render_config
-from vgmpi.rendering.appearance import view_dependent_splats
-from vgmpi.rendering.frame_renderer import FrameRenderer
+from vgmpi.postprocess.frames import image_io, render_config
+from vgmpi.postprocess.frames.appearance import view_dependent_splats
+from vgmpi.postprocess.frames.frame_renderer import FrameRenderer
 
 log = logging.getLogger("vgmpi")
 
@@ -82,7 +82,7 @@ def study(
         message = "'none': what fluids let through is compared, before a color or a picture"
         raise render_config.SettingsError([f"picture.background: {message}"])
     done: list[Variant] = []
-    # the position that python -m postprocess.render --frame uses
+    # the position that python -m vgmpi render --frame uses
     part = index / max(len(run) - 1, 1)
     for name in VARIANTS:
         painter = FrameRenderer(run, variant_settings(base, name), settings_folder)

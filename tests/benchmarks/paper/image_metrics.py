@@ -7,10 +7,10 @@ from scipy import ndimage
 
 from vgmpi.gaussians.camera import Camera
 from vgmpi.gaussians.shape_evolution import FAMILIES_DRAWN_AS_SPHERES
-from vgmpi.rendering.appearance import Appearance
-from vgmpi.rendering.raster import rasterize
-from vgmpi.rendering.raster.psnr import psnr
-from vgmpi.rendering.raster.rasterize import ProjectableGaussians
+from vgmpi.postprocess.frames.appearance import Appearance
+from vgmpi.postprocess.raster import rasterize
+from vgmpi.postprocess.raster.psnr import psnr
+from vgmpi.postprocess.raster.rasterize import ProjectableGaussians
 
 GREY = (0.299, 0.587, 0.114)  # luminance of r, g, b (Rec. 601)
 GRAIN_SIZE = 2.0  # [pixels] finer structures count as grain

@@ -7,11 +7,11 @@ import numpy as np
 
 from vgmpi.gaussians.camera import HEIGHT, Camera, fit_orbit_to_box, look_at, orbit_eye
 from vgmpi.io.run_reader import RunReader
-from vgmpi.rendering.appearance import Appearance, view_dependent_splats
-from vgmpi.rendering.frame_renderer import domain_box
-from vgmpi.rendering.raster import rasterize
-from vgmpi.rendering.raster.psnr import psnr as decibels
-from vgmpi.rendering.raster.rasterize import ProjectableGaussians
+from vgmpi.postprocess.frames.appearance import Appearance, view_dependent_splats
+from vgmpi.postprocess.frames.frame_renderer import domain_box
+from vgmpi.postprocess.raster import rasterize
+from vgmpi.postprocess.raster.psnr import psnr as decibels
+from vgmpi.postprocess.raster.rasterize import ProjectableGaussians
 
 CAMERAS, FOV = 12, 40.0  # number of cameras around the domain; [degrees]
 TIMING_ROUNDS = 2  # repetitions of each image for its timing

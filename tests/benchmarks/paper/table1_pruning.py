@@ -29,8 +29,8 @@ import numpy as np
 
 from tests.benchmarks.paper import portrait_metrics
 from vgmpi.io.run_reader import RunError, RunReader
-from vgmpi.rendering import image_io
-from vgmpi.rendering.appearance import Appearance
+from vgmpi.postprocess.frames import image_io
+from vgmpi.postprocess.frames.appearance import Appearance
 
 RUNS = Path(__file__).resolve().parents[3] / "runs"
 FRAME_INTERVAL = 0.04  # [s] frame interval of the paper's scenes

@@ -1,6 +1,6 @@
 """Result of a trade-off study beside a scene: settings that are cheaper and hardly less accurate.
 
-The study is made by vgmpi.apps.tradeoff.
+The study is made by vgmpi.tools.tradeoff.
 """
 
 import csv

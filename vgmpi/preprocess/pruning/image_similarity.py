@@ -7,8 +7,8 @@ import numpy as np
 from vgmpi.gaussians import spherical_harmonics as harmonics
 from vgmpi.gaussians.camera import Camera, look_at
 from vgmpi.gaussians.cloud import GaussianCloud
-from vgmpi.rendering.raster.psnr import psnr
-from vgmpi.rendering.raster.rasterize import ALPHA_MIN, ProjectableGaussians, render
+from vgmpi.postprocess.raster.psnr import psnr
+from vgmpi.postprocess.raster.rasterize import ALPHA_MIN, ProjectableGaussians, render
 
 PIXELS = 400  # [pixels] edge of an image
 ANGLES = 4  # cameras on each of the three circles
