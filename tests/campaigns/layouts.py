@@ -105,7 +105,7 @@ def write_masks(folder: Path) -> None:
     """The files that the layouts name: ellipses of MASKS (x, y, and both radii), and a body."""
     from PIL import Image
 
-    from tests.apps.test_photo_hostile import HEIGHT, WIDTH
+    from tests.tools.test_photo_hostile import HEIGHT, WIDTH
 
     y, x = np.mgrid[:HEIGHT, :WIDTH] + 0.5
     for name, (a, b, width, height) in MASKS.items():
@@ -119,7 +119,7 @@ def write_masks(folder: Path) -> None:
 def campaign(count: int, seed: int, folder: Path) -> Result:
     """count: of layouts. Those that fail stay in the folder."""
     pytest.importorskip("cv2", reason="no OpenCV: pip install 'vgmpi[images]'")
-    from tests.apps import test_photo_hostile
+    from tests.tools import test_photo_hostile
 
     folder.mkdir(parents=True, exist_ok=True)
     photo = folder / "photo.png"

@@ -41,7 +41,7 @@ def good() -> inputs.Good:
     """Photographs of all kinds of pixels, and masks of the disc in them."""
     from PIL import Image
 
-    from tests.apps import test_photo_hostile as drawn
+    from tests.tools import test_photo_hostile as drawn
 
     taken = {name: make() for name, make in drawn.TAKEN.items()}
     jpeg = [data for data in taken.values() if data.startswith(b"\xff\xd8")]
@@ -57,7 +57,7 @@ def good() -> inputs.Good:
 
 def _commands(use: str, path: Path) -> worker.Case:
     """What reads the picture; the layout that goes with it is written."""
-    from tests.apps import test_photo_hostile as drawn
+    from tests.tools import test_photo_hostile as drawn
 
     layout, out, photo = path.with_name("layout.toml"), path.with_name("out"), path
     if use == "find":

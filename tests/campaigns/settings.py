@@ -9,7 +9,7 @@ import numpy as np
 from tests.campaigns import worker
 from tests.campaigns.result import Result
 from tests.campaigns.spoiled import Spoiler
-from tests.rendering import test_settings
+from tests.postprocess import test_settings
 from tests.support import drawn_runs
 
 NAME = "settings"

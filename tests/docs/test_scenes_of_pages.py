@@ -1,6 +1,6 @@
 """Every complete scene of the pages runs to its end, with exit code 0.
 
-That of docs/tutorial/python.md runs in tests/apps/test_api.py. A scene that is fine and long is run
+That of docs/tutorial/python.md runs in tests/api/test_api.py. A scene that is fine and long is run
 in coarser cells.
 """
 

@@ -6,9 +6,9 @@ import signal
 
 import pytest
 
-from tests.apps.test_fit import bits
 from tests.support import launch
 from tests.support.fit_scenes import FIT, SHORT, command, fitted_alone, go, made
+from tests.tools.test_fit import bits
 from vgmpi.tools.fit.run_pool import RECORD
 
 FEW = FIT.replace("max_runs = 40\nscan_points = 4", "max_runs = 10\nscan_points = 2")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.rendering.test_look import EYE, fake, frame
+from tests.postprocess.test_look import EYE, fake, frame
 from tests.support import drawn_runs
 from vgmpi.gaussians import shape_evolution, spherical_harmonics
 from vgmpi.gaussians.cloud import unpack_symmetric

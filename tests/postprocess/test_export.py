@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from tests.gaussians.test_glb import parsed
-from tests.rendering.test_look import fake, frame
+from tests.postprocess.test_look import fake, frame
 from tests.support import drawn_runs
 from tests.support.picture_noise import psnr
 from vgmpi.gaussians import spherical_harmonics as harmonics

@@ -8,7 +8,7 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from tests.rendering.test_video import read
+from tests.postprocess.test_video import read
 from tests.support import drawn_runs
 from vgmpi.gaussians.formats import ply
 from vgmpi.io import file_layout, initial_state

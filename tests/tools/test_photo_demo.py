@@ -16,7 +16,7 @@ pytest.importorskip("tomlkit", reason="no tomlkit: pip install 'vgmpi[images]'")
 
 
 def test_an_example_makes_a_scene(tmp_path, capfd):
-    """Those of all run to their end in tests/apps/test_written_scenes.py."""
+    """Those of all run to their end in tests/tools/test_written_scenes.py."""
     pytest.importorskip("skimage", reason="scikit-image has the photograph")
     assert main(["--demo", "rocket", "-o", str(tmp_path)]) == 0
     assert len(tomllib.loads((tmp_path / "scene.toml").read_text())["object"]) == 1

@@ -312,6 +312,6 @@ def test_configurations_are_read_by_their_type(folder):
 
 
 def test_this_process_is_not_the_one_without_them():
-    """The message where the packages are missing is of tests/apps/test_photo_missing.py."""
+    """The message where the packages are missing is of tests/tools/test_photo_missing.py."""
     code = "import vgmpi.tools.photo.pipeline, sys; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0

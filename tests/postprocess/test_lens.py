@@ -8,7 +8,7 @@ times v times the time of a frame.
 import numpy as np
 import pytest
 
-from tests.rendering.test_light import balls
+from tests.postprocess.test_light import balls
 from tests.support import drawn_runs
 from vgmpi.gaussians.camera import look_at, thin_lens_sample
 from vgmpi.io.run_reader import RunError, RunReader

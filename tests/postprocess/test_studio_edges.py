@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.rendering.test_studio_normals import BODY, CLEAR, MESH, ROLES, angles, seen
+from tests.postprocess.test_studio_normals import BODY, CLEAR, MESH, ROLES, angles, seen
 from tests.support import solid_runs
 from vgmpi.postprocess.studio import surface_edges
 

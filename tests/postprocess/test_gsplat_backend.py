@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.rendering.test_splat import camera, scene
+from tests.postprocess.test_splat import camera, scene
 from tests.support import dense_rasterizer
 from vgmpi.gaussians.camera import Camera
 from vgmpi.gaussians.cloud import unpack_symmetric

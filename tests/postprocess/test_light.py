@@ -8,7 +8,7 @@ the light's picture is 2.6 mm here, the Gaussians reach 4 mm beyond their middle
 import numpy as np
 import pytest
 
-from tests.rendering.test_liquid import balls
+from tests.postprocess.test_liquid import balls
 from tests.support import drawn_runs
 from vgmpi.gaussians.camera import look_at
 from vgmpi.io.run_reader import RunReader

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.benchmarks.paper import __main__, ablation, contact_sheet, image_metrics
-from tests.rendering.test_look import EYE, fake, frame
+from tests.postprocess.test_look import EYE, fake, frame
 from tests.support import drawn_runs
 from vgmpi.io.run_reader import RunReader
 from vgmpi.postprocess.frames import render_config

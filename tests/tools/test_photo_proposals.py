@@ -91,7 +91,7 @@ def test_real_photographs(name, object_name, required, most):
 def test_the_cup_with_its_saucer_is_proposed():
     """The box that was drawn by hand around all of it."""
     data = pytest.importorskip("skimage.data", reason="scikit-image has the photographs")
-    from tests.apps.test_photo_coffee import BOX
+    from tests.tools.test_photo_coffee import BOX
 
     boxes = box_proposals.propose_boxes(np.ascontiguousarray(data.coffee()))
     overlap = max(grabcut.box_overlap(box, BOX) for box in boxes)

@@ -8,7 +8,7 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from tests.rendering.test_splat import camera, scene
+from tests.postprocess.test_splat import camera, scene
 from tests.support import captured_runs, dense_rasterizer
 from tests.support.captured_runs import (
     PICTURE,

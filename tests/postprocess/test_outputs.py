@@ -9,8 +9,8 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from tests.rendering.test_camerafiles import as_transforms
-from tests.rendering.test_video import gradient, read
+from tests.postprocess.test_camerafiles import as_transforms
+from tests.postprocess.test_video import gradient, read
 from tests.support import drawn_runs
 from tests.support.launch import mpirun
 from vgmpi.gaussians.camera import look_at

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.rendering.test_camerafiles import as_transforms, cameras
+from tests.postprocess.test_camerafiles import as_transforms, cameras
 from vgmpi.postprocess.frames import render_config
 from vgmpi.postprocess.frames.camera_paths import CameraPath
 

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from tests.postprocess.test_passive import AFFINE, RIDING, moved
 from tests.preprocess.test_prune import SCENE, duck_obj
-from tests.rendering.test_passive import AFFINE, RIDING, moved
 from tests.support import drawn_runs
 from tests.support.small_scenes import scene
 from vgmpi.gaussians import spherical_harmonics as harmonics

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.rendering.test_studio_normals import BODY, CLEAR
+from tests.postprocess.test_studio_normals import BODY, CLEAR
 from tests.support import solid_runs, studio_scenes
 from vgmpi.postprocess.raster import liquid_surface
 from vgmpi.postprocess.raster.rasterize import ProjectableGaussians
