@@ -236,8 +236,8 @@ def _problem(path, ranks):
 def lowest_rank_message(ranks: SerialCommunicator, text: str) -> str:
     """Return the message of the lowest rank that has one, "" if none has. Collective."""
     mine = f"{text}\n".encode() if text else b""
-    every = bytes(ranks.all_rows(np.frombuffer(mine, np.uint8))).decode()
-    return every.splitlines()[0] if every else ""
+    lines = bytes(ranks.all_rows(np.frombuffer(mine, np.uint8))).decode()
+    return lines.splitlines()[0] if lines else ""
 
 
 class Checkpoint:

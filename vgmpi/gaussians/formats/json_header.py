@@ -133,9 +133,9 @@ def parse_header(data: bytes) -> JsonObject:
             f"has a JSON header of {len(data):,} bytes: the most is {MAX_BYTES:,}"
         )
     brackets = np.frombuffer(_STRING.sub(b"", data), np.uint8)
-    opens = (brackets == ord("[")) | (brackets == ord("{"))
-    closes = (brackets == ord("]")) | (brackets == ord("}"))
-    depth = np.cumsum(opens.astype(np.int32) - closes, dtype=np.int32).max(initial=0)
+    is_opening = (brackets == ord("[")) | (brackets == ord("{"))
+    is_closing = (brackets == ord("]")) | (brackets == ord("}"))
+    depth = np.cumsum(is_opening.astype(np.int32) - is_closing, dtype=np.int32).max(initial=0)
     if depth > _MAX_DEPTH:
         raise GaussianFileError(f"has a JSON header nested {depth:,} deep: allowed {_MAX_DEPTH}")
     try:
