@@ -8,10 +8,8 @@ touches both alike.
 """
 
 import re
-import tempfile
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 
@@ -74,22 +72,19 @@ def measure(count: int, particles: int, rounds: int, say: Callable) -> list[dict
     if not count:
         del scenes[f"{count} bodies apart"]
     rows = []
-    with tempfile.TemporaryDirectory(prefix="vgmpi-bench-") as folder:
-        path = Path(folder) / "scene.toml"
-        for name, texts in scenes.items():
-            tanks = []
-            for text in texts:
-                path.write_text(text)
-                began = time.perf_counter()
-                tanks.append(ready(path))
-                say(f"{name}: {time.perf_counter() - began:.0f} s to prepare")
-            rows.append({
-                "name": name, "particles": tanks[0].plan.particles, "near": _close(tanks[1]),
-                "rounds": [],
-            })  # fmt: skip
-            for k in range(rounds):
-                say(f"{name}: round {k + 1} of {rounds}")
-                rows[-1]["rounds"].append([_spent(tank) for tank in tanks])
+    for name, texts in scenes.items():
+        tanks = []
+        for text in texts:
+            began = time.perf_counter()
+            tanks.append(ready(text))
+            say(f"{name}: {time.perf_counter() - began:.0f} s to prepare")
+        rows.append({
+            "name": name, "particles": tanks[0].plan.particles, "near": _close(tanks[1]),
+            "rounds": [],
+        })  # fmt: skip
+        for k in range(rounds):
+            say(f"{name}: round {k + 1} of {rounds}")
+            rows[-1]["rounds"].append([_spent(tank) for tank in tanks])
     return rows
 
 

@@ -24,7 +24,7 @@ import json, sys, time
 from pathlib import Path
 import numpy as np
 from vgmpi.io.run_reader import RunReader
-from vgmpi.postprocess import render_config
+from vgmpi.postprocess.frames import render_config
 from vgmpi.postprocess.frames.frame_renderer import FrameRenderer
 run, settings, to, *frames = sys.argv[1:]
 chosen = render_config.load(settings)

@@ -11,10 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.preprocess.scene_builder import build_scene
-from vgmpi.scene.loader import load
-from vgmpi.solver.initial_particles import known_of, plan_for
+from tests.support.simulate import begin
 from vgmpi.solver.simulation import Simulation
 from vgmpi.tools.bench.vgmpi_contestant import Stages
 
@@ -102,21 +99,19 @@ def measure(particles: int, rounds: int, precision: str, say) -> list[dict]:
         precision: "single" or "double".
         say: Called with a progress line.
     """
-    rows = []
-    with tempfile.TemporaryDirectory(prefix="vgmpi-bench-") as folder:
-        tanks = []
-        for name in SCENES:
-            say(f"{name}: preparing")
-            tanks.append(_tank(name, particles, precision, Path(folder)))
-            rows.append({"name": name, "particles": tanks[-1].plan.particles, "rounds": []})
-        for k in range(rounds):
-            say(f"round {k + 1} of {rounds}")
-            for tank, row in zip(tanks, rows, strict=True):
-                row["rounds"].append(spent(tank))
+    rows, tanks = [], []
+    for name in SCENES:
+        say(f"{name}: preparing")
+        tanks.append(_tank(name, particles, precision))
+        rows.append({"name": name, "particles": tanks[-1].plan.particles, "rounds": []})
+    for k in range(rounds):
+        say(f"round {k + 1} of {rounds}")
+        for tank, row in zip(tanks, rows, strict=True):
+            row["rounds"].append(spent(tank))
     return rows
 
 
-def _tank(name: str, particles: int, precision: str, folder: Path) -> Simulation:
+def _tank(name: str, particles: int, precision: str) -> Simulation:
     """A tank twice as high as wide, filled to three quarters."""
     below, fraction = SCENES[name]
     side = max(8, round((particles / 8 / 1.5) ** (1 / 3)))
@@ -128,30 +123,13 @@ def _tank(name: str, particles: int, precision: str, folder: Path) -> Simulation
         "volume": "density" if name == DENSITY else "none",
     }  # fmt: skip
     text = TANK if fraction < 1.0 else TANK[: TANK.index("[[object]]")]
-    path = folder / "scene.toml"
-    path.write_text((text + below).format(**keys))
-    return ready(path)
+    return ready((text + below).format(**keys))
 
 
-def ready(path: Path) -> Simulation:
-    """The simulation of a scene file, its first steps made."""
-    scene = load(path)
-    bodies = build_scene(scene)
-    simulation = Simulation(
-        plan_for(scene, known_of(scene, bodies)), SerialCommunicator(), bodies.colliders
-    )
-    ids = np.arange(len(bodies.x))
-    simulation.put(
-        bodies.x,
-        bodies.v0,
-        bodies.vol0,
-        ids,
-        bodies.object,
-        bodies.theta0,
-        None,
-        bodies.sh,
-        bodies.surface0,
-    )
+def ready(text: str) -> Simulation:
+    """The simulation of a scene's text, its first steps made."""
+    with tempfile.TemporaryDirectory(prefix="vgmpi-bench-") as folder:
+        simulation, _ = begin(Path(folder), text)
     for _ in range(3):
         simulation.advance(0.5 * simulation.bound())
     return simulation

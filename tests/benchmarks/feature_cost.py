@@ -4,9 +4,7 @@ A tank of slabs two blocks thick, so that most are. The two of a pair, and a pla
 measured in turns, so that what else the machine does touches all alike.
 """
 
-import tempfile
 from collections.abc import Callable
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -96,26 +94,19 @@ def measure(particles: int, rounds: int, precision: str, say: Callable) -> list[
     cases = {"plain": PLAIN}
     for feature in PAIRS:
         cases |= {f"{feature.name} -": feature.without, f"{feature.name} +": feature.having}
-    with tempfile.TemporaryDirectory(prefix="vgmpi-bench-") as folder:
-        tanks = {}
-        for name, case in cases.items():
-            say(f"{name}: preparing")
-            path = Path(folder) / "scene.toml"
-            path.write_text(text_of(case, particles, precision))
-            tanks[name] = ready(path)
-        rows = [
-            {
-                "name": feature.name,
-                "near": proximity_share(tanks[f"{feature.name} +"]),
-                "rounds": [],
-            }
-            for feature in PAIRS
-        ]
-        for k in range(rounds):
-            say(f"round {k + 1} of {rounds}")
-            for row in rows:
-                names = ("plain", f"{row['name']} -", f"{row['name']} +")
-                row["rounds"].append([spent(tanks[name])["time"] for name in names])
+    tanks = {}
+    for name, case in cases.items():
+        say(f"{name}: preparing")
+        tanks[name] = ready(text_of(case, particles, precision))
+    rows = [
+        {"name": pair.name, "near": proximity_share(tanks[f"{pair.name} +"]), "rounds": []}
+        for pair in PAIRS
+    ]
+    for k in range(rounds):
+        say(f"round {k + 1} of {rounds}")
+        for row in rows:
+            names = ("plain", f"{row['name']} -", f"{row['name']} +")
+            row["rounds"].append([spent(tanks[name])["time"] for name in names])
     return rows
 
 

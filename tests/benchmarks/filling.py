@@ -1,7 +1,7 @@
 """Compare the choices of `fill` for captures: python -m tests.benchmarks.filling [picture]
 
-Prints the table of volumes of docs/how-to/prepare-captures.md and writes its picture, the figure of
-tests/support/hollow_captures.py: as a camera sees it, and cut open.
+Writes the picture of docs/how-to/prepare-captures.md: the figure of
+tests/support/hollow_captures.py, as a camera sees it, and cut open.
 """
 
 import itertools
@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.support.hollow_captures import FORMS, Body, body
+from tests.support.hollow_captures import Body, body
 from tests.support.small_scenes import scene
 from vgmpi.gaussians.camera import Camera, look_at
 from vgmpi.gaussians.cloud import GaussianCloud
@@ -21,7 +21,6 @@ from vgmpi.postprocess.raster.psnr import psnr
 from vgmpi.preprocess.built_object import BuiltObject
 from vgmpi.preprocess.object_builder import build_object
 from vgmpi.preprocess.pruning import image_similarity
-from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.scene.scene import Scene
 
 PICTURE = Path(__file__).parents[2] / "docs" / "pictures" / "filling.jpg"
@@ -92,22 +91,6 @@ def alike(
     return np.array(found)
 
 
-def table(folder: Path) -> str:
-    """Volumes [l] of each body by each choice, at two spacings, in Markdown."""
-    head = ["body", "itself", *(f"`{choice}`" for choice in CHOICES)]
-    rows = [head, ["---"] * len(head)]
-    for name in FORMS:
-        made, file = written(folder, name)
-        cells = [f"{1e3 * made.volume():.2f}"]
-        for choice in CHOICES:
-            fine, coarse = (
-                1e3 * build_scene(scene_of(file, choice, cell)).vol0.sum() for cell in (0.01, 0.02)
-            )
-            cells.append(f"{fine:.2f} ({coarse:.2f})")
-        rows.append([name, *cells])
-    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
-
-
 def cut(piece: BuiltObject, spacing: float) -> GaussianCloud:
     """The half of a body behind its middle, with what fills it as balls: in one color where it is
     drawn, in another where it has mass only."""
@@ -153,7 +136,6 @@ def main(where: Path) -> None:
     from PIL import Image
 
     with tempfile.TemporaryDirectory() as folder:
-        print(table(Path(folder)))
         Image.fromarray(picture(Path(folder))).save(where, quality=88)
 
 

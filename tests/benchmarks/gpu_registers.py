@@ -6,15 +6,9 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
-
+from tests.support.simulate import begin
 from vgmpi.materials import registry
-from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.preprocess.scene_builder import build_scene
-from vgmpi.scene.loader import load
 from vgmpi.solver.engine_registry import ENGINES
-from vgmpi.solver.initial_particles import known_of, plan_for
-from vgmpi.solver.simulation import Simulation
 from vgmpi.tools.bench.benchmark_case import KEYS
 
 CARDS = (80, 90)
@@ -93,21 +87,12 @@ def compiled(
 
     accuracy, body_text = CASES[name]
     text = SCENE.replace("PRECISION", precision).replace("ACCURACY", accuracy) + body_text
-    with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "scene.toml").write_text(text)
-        scene = load(Path(folder) / "scene.toml")
-        built = build_scene(scene)
-        plan = plan_for(scene, known_of(scene, built))
     ENGINES["compiled"] = offline_engine(cards, only)
     try:
-        simulation = Simulation(plan, SerialCommunicator(), built.colliders, engine="compiled")
+        with tempfile.TemporaryDirectory() as folder:
+            simulation, _ = begin(Path(folder), text, engine="compiled")
     finally:
         del ENGINES["compiled"]
-    v = built.v0 if built.v0 is not None else np.zeros_like(built.x)
-    simulation.put(
-        built.x, v, built.vol0, np.arange(len(built.x)), built.object, theta=built.theta0,
-        sh=built.sh, surface=built.surface0,
-    )  # fmt: skip
     return kernels_of(simulation)
 
 

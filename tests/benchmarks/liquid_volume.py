@@ -134,7 +134,6 @@ class DamBreak(NamedTuple):
 
     samples: list[VolumeSample]  # every 0.1 s
     seconds: float  # [s] processor time
-    x: np.ndarray  # (n, 3) [m] positions at the end
 
 
 def dam_break(correction: str, cells: int, end: float) -> DamBreak:
@@ -154,7 +153,7 @@ def dam_break(correction: str, cells: int, end: float) -> DamBreak:
     for goal in np.arange(INTERVAL, end + INTERVAL / 2, INTERVAL):
         advance(simulation, float(goal))
         samples.append(measure(simulation, made.vol0, 1000.0))
-    return DamBreak(samples, time.process_time() - started, by_id(simulation, "x")[0])
+    return DamBreak(samples, time.process_time() - started)
 
 
 def splashing(cells: int, accuracy: str = ""):
@@ -174,46 +173,39 @@ def splashing(cells: int, accuracy: str = ""):
     return simulation
 
 
-def dilatation_cost(cells: int, rounds: int, steps: int = 60) -> list[float]:
-    """Return the ratios of a step's processor time with the dilatation by cells to that without.
+def turns(simulations, plans, rounds: int, steps: int) -> list[float]:
+    """Return the ratios of the processor time of the second one's steps to the first one's.
 
     Args:
-        cells, rounds, steps: See `step_cost`.
-    """
-    both = [splashing(cells), splashing(cells, 'dilatation = "cells"')]
-    ratios = []
-    for _ in range(rounds):
-        seconds = []
-        for simulation in both:
-            started = time.thread_time()
-            for _ in range(steps):
-                simulation.advance(0.9 * simulation.bound())
-            seconds.append(time.thread_time() - started)
-        ratios.append(seconds[1] / seconds[0])
-    return ratios
-
-
-def step_cost(cells: int, rounds: int, steps: int = 60) -> list[float]:
-    """Return the ratios of a step's processor time with shifting to that without, in turns.
-
-    The liquid splashes; both make the same steps of the transfer correction.
-
-    Args:
-        cells: Cells along the tank.
+        simulations, plans: Two of each; a plan is set before its turn.
         rounds: Number of pairs.
         steps: Steps of each turn.
     """
-    simulation = splashing(cells)
-    shifted, ratios = simulation.plan, []
+    ratios = []
     for _ in range(rounds):
         seconds = []
-        for plan in (replace(shifted, shift_interval=0), shifted):
+        for simulation, plan in zip(simulations, plans, strict=True):
             simulation.plan, started = plan, time.thread_time()
             for _ in range(steps):
                 simulation.advance(0.9 * simulation.bound())
             seconds.append(time.thread_time() - started)
         ratios.append(seconds[1] / seconds[0])
     return ratios
+
+
+def dilatation_cost(cells: int, rounds: int, steps: int = 60) -> list[float]:
+    """Return the ratios of a step's processor time with the dilatation by cells to that without."""
+    both = [splashing(cells), splashing(cells, 'dilatation = "cells"')]
+    return turns(both, [one.plan for one in both], rounds, steps)
+
+
+def step_cost(cells: int, rounds: int, steps: int = 60) -> list[float]:
+    """Return the ratios of a step's processor time with shifting to that without, in turns.
+
+    The liquid splashes; both make the same steps of the transfer correction.
+    """
+    one = splashing(cells)
+    return turns([one, one], [replace(one.plan, shift_interval=0), one.plan], rounds, steps)
 
 
 def rows(correction: str, cells: int, samples: list[VolumeSample]) -> list[str]:
@@ -235,41 +227,18 @@ def rows(correction: str, cells: int, samples: list[VolumeSample]) -> list[str]:
     return result
 
 
-def draw(runs: dict[str, DamBreak], path: Path) -> None:
-    """Draw the liquids at the end beside each other, each with its level at rest.
-
-    Args:
-        runs: Outcome by correction.
-        path: Picture (out).
-    """
-    import matplotlib.pyplot as plt
-
-    level = COLUMN[0] * COLUMN[1] / TANK[0]
-    figure, axes = plt.subplots(len(runs), 1, figsize=(7, 1.9 * len(runs)), sharex=True)
-    for axis, (correction, outcome) in zip(np.atleast_1d(axes), runs.items(), strict=True):
-        axis.scatter(outcome.x[:, 0], outcome.x[:, 2], s=0.4, color="#2b7fc4", linewidths=0)
-        axis.axhline(level, color="#c0392b", linewidth=1)
-        axis.set(xlim=(0, TANK[0]), ylim=(0, 2 * level), aspect="equal", ylabel="z [m]")
-        axis.set_title(f'volume_correction = "{correction}", {outcome.samples[-1].time:g} s')
-    axes[-1].set_xlabel("x [m]; red: level of the same liquid at rest")
-    figure.tight_layout()
-    figure.savefig(path, dpi=90)
-
-
-def run(corrections: list[str], cells: int, end: float, picture: Path | None) -> None:
+def run(corrections: list[str], cells: int, end: float) -> None:
     """Print the table of the corrections.
 
     Args:
         corrections: Values of `accuracy.volume_correction`.
         cells: Cells along the tank.
         end: Time [s].
-        picture: Picture of the liquids at the end, or None.
     """
-    runs = {}
     print("| correction | cells | time | level | lowest layer | lower half | fullest | surface |")
     print("|---|---|---|---|---|---|---|---|")
     for correction in corrections:
-        outcome = runs[correction] = dam_break(correction, cells, end)
+        outcome = dam_break(correction, cells, end)
         samples = outcome.samples
         print("\n".join(rows(correction, cells, samples)), flush=True)
         energies = [s.energy for s in samples]
@@ -277,5 +246,3 @@ def run(corrections: list[str], cells: int, end: float, picture: Path | None) ->
             f"# {correction}: fullest ever {max(s.fullest for s in samples):.2f}, energy over that"
             f" at the start at most {max(energies) / energies[0] - 1:+.1%}, {outcome.seconds:.0f} s"
         )
-    if picture is not None:
-        draw(runs, picture)

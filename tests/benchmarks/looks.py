@@ -1,7 +1,5 @@
 """What pictures of the studio are held to, measured on finished runs.
 
-    python -m tests.benchmarks.looks rows splash RUN            rows of the seeding lattice in a
-    picture
     python -m tests.benchmarks.looks flicker splash RUN         what changes though nothing but a
     little moves
     python -m tests.benchmarks.looks cost splash RUN            processor time and memory of a
@@ -9,10 +7,8 @@
     python -m tests.benchmarks.looks steps splash RUN -o a.jpg  what a picture is made of, side by
     side
 
-Rows: the largest spectral power of the high-passed luminance in a box, and that over the median of
-its ring of wavelengths; noise alone gives 11 to 13 for the second. Flicker: the particles go on
-with their velocity for 0 to 0.2 ms; the rms of the second difference of the three pictures over the
-pixels that change [levels of 255], and as part of the change.
+Flicker: the particles go on with their velocity for 0 to 0.2 ms; the rms of the second difference
+of the three pictures over the pixels that change [levels of 255], and as part of the change.
 """
 
 import argparse
@@ -21,7 +17,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-from scipy import ndimage
 
 from vgmpi.io.run_reader import RunReader
 from vgmpi.postprocess.frames import render_config
@@ -37,11 +32,6 @@ CAMERAS = {
     "castle_falls": {"target": (0.44, 0.36, 0.1), "distance": 1.3, "height": 0.48, **LENS},
 }  # fmt: skip
 FRAMES = {"splash": 8, "snowball": 4, "castle_falls": 7}
-BOXES = {
-    "splash": [(190, 140, 350, 260), (210, 160, 400, 280)],
-    "snowball": [(370, 90, 700, 240)],
-    "castle_falls": [(260, 330, 640, 480)],
-}
 STEP = 1e-4  # s between the pictures of a flicker
 CHANGES = 1.5  # levels
 
@@ -51,34 +41,6 @@ def painter(name: str, run: str, **tables) -> FrameRenderer:
     tables["picture"] = {**SIZE, **tables.get("picture", {})}
     chosen = render_config.Settings.model_validate({"camera": CAMERAS[name], **tables})
     return FrameRenderer(RunReader(run), chosen, Path("."))
-
-
-def luminance(picture: np.ndarray) -> np.ndarray:
-    """(height, width) of 0..255."""
-    return picture[..., :3].astype(np.float64) @ [0.2126, 0.7152, 0.0722]
-
-
-def spectrum(picture: np.ndarray, box: tuple, short: float = 6, long: float = 40) -> tuple:
-    """Largest power between two wavelengths [pixels], and the largest over its ring's median."""
-    x0, y0, x1, y1 = box
-    a = luminance(picture)[y0:y1, x0:x1]
-    a = a - ndimage.gaussian_filter(a, 14)
-    w = np.hanning(a.shape[0])[:, None] * np.hanning(a.shape[1])[None]
-    power = np.abs(np.fft.fft2(a * w)) ** 2 / (w**2).sum()
-    k = np.hypot(np.fft.fftfreq(a.shape[0])[:, None], np.fft.fftfreq(a.shape[1])[None])
-    edges = np.linspace(1 / long, 1 / short, 9)
-    rings = [(k >= low) & (k < high) for low, high in zip(edges, edges[1:])]
-    excess = max(power[ring].max() / np.median(power[ring]) for ring in rings)
-    return float(power[(k > 1 / long) & (k < 1 / short)].max()), float(excess)
-
-
-def rows(name: str, run: str) -> None:
-    """Print the rows in the boxes of a scene's picture."""
-    tables = {"picture": {"floor": {"tile_size": 0.0}}}
-    picture = painter(name, run, **tables).draw(FRAMES[name])
-    for box in BOXES[name]:
-        power, excess = spectrum(picture, box)
-        print(f"{name} {box}: largest power {power:.0f}, over its ring {excess:.1f}")
 
 
 def moments(one: FrameRenderer, frame: int) -> np.ndarray:
@@ -165,7 +127,7 @@ def steps(name: str, run: str, to: str) -> None:
 def main() -> None:
     """Command line."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    p.add_argument("what", choices=("rows", "flicker", "cost", "steps"))
+    p.add_argument("what", choices=("flicker", "cost", "steps"))
     p.add_argument("scene", choices=sorted(CAMERAS))
     p.add_argument("run", help="folder of the finished run")
     p.add_argument("-o", "--output", default="steps.jpg", help="of steps [steps.jpg]")
@@ -173,7 +135,7 @@ def main() -> None:
     if chosen.what == "steps":
         steps(chosen.scene, chosen.run, chosen.output)
         return
-    {"rows": rows, "flicker": flicker, "cost": cost}[chosen.what](chosen.scene, chosen.run)
+    {"flicker": flicker, "cost": cost}[chosen.what](chosen.scene, chosen.run)
 
 
 if __name__ == "__main__":

@@ -5,9 +5,7 @@ in the other one it is thick: the difference is that of held particles alone. Al
 turns with a plain fluid, so that what else the machine does touches all alike.
 """
 
-import tempfile
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 
@@ -65,12 +63,8 @@ def measure(rounds: int, say: Callable, precision: str = "single") -> list[list[
     """
     side = round((PARTICLES / PER_CELL / THICK) ** 0.5)
     cases = [(0, ""), *((held, more) for more in MOTIONS.values() for held in (THIN, THICK))]
-    tanks, rows = [], []
-    with tempfile.TemporaryDirectory(prefix="vgmpi-bench-") as folder:
-        for held, motion in cases:
-            path = Path(folder) / "scene.toml"
-            path.write_text(text_of(side, held, precision, motion))
-            tanks.append(ready(path))
+    tanks = [ready(text_of(side, held, precision, motion)) for held, motion in cases]
+    rows = []
     count = np.array([tank.plan.particles for tank in tanks])
     for k in range(rounds):
         say(f"round {k + 1} of {rounds}")

@@ -34,20 +34,24 @@ STEPS_PER_SORT = 19  # of the scene of the benchmark
 OVERLAPPED = 0.5  # share of a step's work during which messages may travel: P2G and grid
 
 
-def tables(ranks: int, blocks: int) -> dict:
+def cube(ranks: int, particles: int) -> tuple[BlockLattice, np.ndarray, np.ndarray]:
+    """A cube of about `particles` per rank in full blocks: its lattice, keys (n,) ascending and
+    codes (n,)."""
+    side = max(1, round((ranks * particles / PARTICLES_PER_FULL_BLOCK) ** (1 / 3)))
+    lattice = BlockLattice((BLOCK_EDGE * (side + 4),) * 3, 1.0)
+    blocks = np.stack(np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), -1).reshape(-1, 3) + 2
+    key, code = lattice.key(blocks), lattice.code(blocks)
+    order = np.argsort(key)
+    return lattice, key[order], code[order]
+
+
+def tables(ranks: int, blocks: float) -> dict:
     """Return table sizes of the worst of SAMPLE ranks of a cube of ranks x blocks full blocks.
 
     One phase, single precision: own blocks, border blocks, node blocks that others add to, bytes
     sent, neighbors, and the mean blocks of all ranks.
     """
-    side = max(1, round((ranks * blocks) ** (1 / 3)))
-    block_indices = (
-        np.stack(np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), -1).reshape(-1, 3) + 2
-    )
-    lattice = BlockLattice((BLOCK_EDGE * (side + 4),) * 3, 1.0)
-    key, code = lattice.key(block_indices), lattice.code(block_indices)
-    order = np.argsort(key)
-    key, code = key[order], code[order]
+    lattice, key, code = cube(ranks, PARTICLES_PER_FULL_BLOCK * blocks)
     ones = np.ones(len(key))
     owner = owners(key, partition(key, ones, ranks, None))
     census = BlockDirectory(

@@ -8,9 +8,8 @@ import tracemalloc
 
 import numpy as np
 
-from tests.benchmarks.scaling_model import NEEDS, PARTICLES_PER_FULL_BLOCK
+from tests.benchmarks.scaling_model import NEEDS, PARTICLES_PER_FULL_BLOCK, cube
 from vgmpi.parallel import exchange_topology, load_balance, migration
-from vgmpi.parallel.block_lattice import BLOCK_EDGE, BlockLattice
 from vgmpi.parallel.block_ownership import HALO_BLOCKS, build_block_directory
 from vgmpi.parallel.communicator import SerialCommunicator
 
@@ -42,17 +41,6 @@ class Amid(SerialCommunicator):
         """Return own rows and prepared rows of other ranks."""
         self.sent.append(len(np.unique(to[to != self.rank])))
         return np.concatenate([rows[to == self.rank], self.incoming.pop(0)])
-
-
-def cube(ranks: int, particles: int) -> tuple[BlockLattice, np.ndarray, np.ndarray]:
-    """A cube of about `particles` per rank in full blocks: its lattice, keys (n,) ascending and
-    codes (n,)."""
-    side = max(1, round((ranks * particles / PARTICLES_PER_FULL_BLOCK) ** (1 / 3)))
-    lattice = BlockLattice((BLOCK_EDGE * (side + 4),) * 3, 1.0)
-    blocks = np.stack(np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), -1).reshape(-1, 3) + 2
-    key, code = lattice.key(blocks), lattice.code(blocks)
-    order = np.argsort(key)
-    return lattice, key[order], code[order]
 
 
 class Sort:

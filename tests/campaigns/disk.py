@@ -7,18 +7,15 @@ files.
 
 import os
 import shutil
-import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from tests.campaigns import cases, tiny
 from tests.campaigns.result import Result
 from tests.support.launch import on_ranks, run
+from tests.support.small_disk import mount, small_disk
 
 NAME, COUNT, SMALL = "disk", 40, 4
 MARKS = ("mpi",)
@@ -27,7 +24,7 @@ PAGE = os.sysconf("SC_PAGE_SIZE")  # what such a file system counts in
 
 def campaign(count: int, seed: int, folder: Path) -> Result:
     with tiny.undisturbed() as (scene, want):
-        with _disk(folder / "disk", 1):
+        with small_disk(folder / "disk", PAGE):
             pass  # or it says why not
         most = 1.2 * sum(map(len, want.values())) / PAGE
 
@@ -35,7 +32,7 @@ def campaign(count: int, seed: int, folder: Path) -> Result:
             """Sizes are spread over the run, the first is nothing at all."""
             pages = int(most * (k + random.random()) / count) if k else 0
             ranks = 2 if shutil.which("mpirun") and k % 3 == 1 else 1
-            with _disk(own / "disk", pages + 1) as disk:
+            with small_disk(own / "disk", (pages + 1) * PAGE) as disk:
                 (disk / "others").write_bytes(b"x" * PAGE)  # a disk of no pages would have no end
                 try:
                     return _case(scene, disk, ranks, want)
@@ -59,27 +56,5 @@ def _case(scene: Path, disk: Path, ranks: int, want: dict[str, bytes]) -> str:
         assert job.stderr.splitlines() == ours
     tiny.check(disk / "out")
     assert not list(disk.rglob("*.tmp")), "half a file is left"
-    _mount(f"remount,size={64 << 20}", disk)
+    mount(f"remount,size={64 << 20}", disk)
     return f"full, {tiny.ends_the_same(scene, disk / 'out', want)}"
-
-
-@contextmanager
-def _disk(folder: Path, pages: int) -> Iterator[Path]:
-    """A file system of so many pages. Skips where none can be had."""
-    folder.mkdir(parents=True, exist_ok=True)
-    _mount(f"size={pages * PAGE}", folder)
-    try:
-        yield folder
-    finally:
-        subprocess.run(["umount", "--lazy", folder], check=True)
-        folder.rmdir()
-
-
-def _mount(options: str, folder: Path) -> None:
-    command = ["mount", "-t", "tmpfs", "-o", options, "none", folder]
-    try:
-        job = subprocess.run(command, capture_output=True, text=True)
-    except OSError as error:
-        pytest.skip(f"mount: {error.strerror}")
-    if job.returncode:
-        pytest.skip(f"no small file system can be mounted: {job.stderr.strip()}")

@@ -11,14 +11,8 @@ import numpy as np
 from tests.campaigns import cases
 from tests.campaigns.result import Result
 from tests.support.launch import run
-from tests.support.small_scenes import ROOM
+from tests.support.small_scenes import BALL, ROOM
 
-BALL = """
-[[object]]
-name = "ball"
-material = "clay"
-shape = { sphere = { center = [0.2, 0.2, 0.2], radius = 0.05 } }
-"""
 ROTOR = """
 [[object]]
 name = "rotor"

@@ -7,7 +7,7 @@ import pytest
 
 import vgmpi
 from tests.support import small_scenes
-from tests.support.small_scenes import scene
+from tests.support.small_scenes import BALL, scene
 from vgmpi.commands import cli, command_table
 from vgmpi.gaussians.shape_distance import distance
 from vgmpi.io.csv_log import read_rows
@@ -21,12 +21,6 @@ from vgmpi.scene.shapes import Shape
 from vgmpi.solver.initial_particles import plan_for, prepare
 
 ROOM = small_scenes.ROOM.replace('[accuracy]\nprecision = "double"\n', "")  # has the default
-BALL = """
-[[object]]
-name = "ball"
-material = "clay"
-shape = { sphere = { center = [0.2, 0.2, 0.2], radius = 0.05 } }
-"""
 TUB = """
 [material.water]
 preset = "honey"

@@ -5,15 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.small_scenes import ROOM, write
+from tests.support.small_scenes import BALL, ROOM, write
 from vgmpi.commands import cli
 
-BALL = """
-[[object]]
-name = "ball"
-material = "clay"
-shape = { sphere = { center = [0.2, 0.2, 0.2], radius = 0.05 } }
-"""
 SCRIPT = Path(__file__).resolve().parents[2] / "runs" / "gallery.py"
 
 

@@ -1,14 +1,13 @@
 """An output that cannot be written: one line that names it, and one exit code for all commands."""
 
 import json
-import os
-import subprocess
 
 import pytest
 from PIL import Image
 
 from tests.support import drawn_photograph, drawn_runs, fit_scenes
 from tests.support.foreign_configs import ONE
+from tests.support.small_disk import small_disk
 from vgmpi.commands.command_table import main as vgmpi_main
 from vgmpi.runtime.command_line import exit_code_from_exceptions
 
@@ -52,16 +51,11 @@ def test_a_place_that_is_read_only_is_the_users_error(name, tmp_path, capfd):
 
 @pytest.fixture
 def full_disk(tmp_path):
-    """A disk of 64 kB that is full; only root can make one."""
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(folder)]
-    if os.geteuid() != 0 or subprocess.run(mount, capture_output=True).returncode:
-        pytest.skip("a small disk can be mounted by root only")
-    with open(folder / "filler", "wb", buffering=0) as file:
-        file.write(bytes(64 << 10))
-    yield folder
-    subprocess.run(["umount", "-l", str(folder)], check=True)
+    """A disk of 64 kB that is full."""
+    with small_disk(tmp_path / "disk", 64 << 10) as folder:
+        with open(folder / "filler", "wb", buffering=0) as file:
+            file.write(bytes(64 << 10))
+        yield folder
 
 
 @pytest.mark.parametrize("name", [name for name in COMMANDS if name not in ("tradeoff", "energy")])

@@ -14,23 +14,15 @@ card = pytest.importorskip("vgmpi.solver.engines.cuda.graphics_card")
 pytestmark = pytest.mark.skipif(card.select_device(0) != "", reason="there is no card")
 
 
-def compare(precision, steps, name):
-    """The line that compares a scene on the card with the processor."""
+CASES = [("single", 20, name) for name in SCENES]
+CASES += [("double", 6, name) for name in ("fluid", "sand", "elastic", "contact")]
+
+
+@pytest.mark.parametrize("precision, steps, name", CASES)
+def test_a_card_has_the_processors_bits(precision, steps, name):
     command = [sys.executable, "-m", "tests.support.cuda_bits", precision, str(steps), name]
     job = finish(start([*command, "--card"]))
     assert job.returncode == 0, job.stderr[-3000:]
-    return job.stdout.strip()
-
-
-@pytest.mark.parametrize("name", SCENES)
-def test_a_card_has_the_processors_bits(name):
-    line = compare("single", 20, name)
-    print(line)
-    assert line.startswith("same "), line
-
-
-@pytest.mark.parametrize("name", ["fluid", "sand", "elastic", "contact"])
-def test_a_card_has_the_processors_bits_in_double_precision(name):
-    line = compare("double", 6, name)
+    line = job.stdout.strip()
     print(line)
     assert line.startswith("same "), line

@@ -17,14 +17,10 @@ from tests.benchmarks.limit_scenes import rows
 ROWS = {row.name: row for row in rows()}
 
 
-@pytest.mark.parametrize("name", [row.name for row in ROWS.values() if row.fast])
-def test_a_quick_row(name):
-    found = limit_cases.run_case(ROWS[name])
-    assert found.good, limit_cases.line(found)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", [row.name for row in ROWS.values() if not row.fast])
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=() if row.fast else pytest.mark.slow) for n, row in ROWS.items()],
+)
 def test_a_row(name):
     found = limit_cases.run_case(ROWS[name])
     assert found.good, limit_cases.line(found)

@@ -2,10 +2,7 @@
 
 import json
 import re
-import subprocess
-import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,11 +12,10 @@ from hypothesis import strategies as st
 from tests.support import gaussian_files as written
 from tests.support import hostile_containers, hostile_gaussians
 from tests.support import splat_containers as containers
-from tests.support.launch import PATIENCE
+from tests.support.peak_memory import read_apart
 from vgmpi.gaussians.formats import registry
 from vgmpi.runtime import process_limits
 
-ROOT = Path(__file__).resolve().parents[2]
 CASES = hostile_gaussians.cases()
 GOOD = {
     ".ply": [hostile_gaussians.GOOD, hostile_gaussians.PACKED],
@@ -52,11 +48,8 @@ for path in sorted(pathlib.Path(sys.argv[1]).iterdir()):
 def read_all(folder):
     """Name -> seconds, peak memory of the whole process [MB] and the words for every file of a
     folder, read one after the other by a process of its own."""
-    command = [sys.executable, "-c", READ, str(folder)]
-    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE)
-    assert run.returncode == 0, run.stderr[-2000:]
-    lines = [json.loads(line) for line in run.stdout.splitlines()]
-    return {name: (seconds, peak, said) for name, seconds, peak, said in lines}
+    rows = read_apart(READ, folder)
+    return {name: (seconds, peak, said) for name, seconds, peak, said in rows}
 
 
 @pytest.fixture(scope="module")

@@ -1,17 +1,13 @@
 """Damaged .spz files of version 4 and with extension records: one line, at once, no memory."""
 
-import json
 import random
 import re
 import struct
-import subprocess
-import sys
 
 import pytest
 
-from tests.gaussians.test_hostile import READ, ROOT
+from tests.gaussians.test_hostile import read_all
 from tests.support import gaussian_files, hostile_gaussians
-from tests.support.launch import PATIENCE
 from vgmpi.gaussians.formats import registry
 
 COUNT, SEED = 200, 2607
@@ -37,16 +33,6 @@ def damaged(number, chance):
         value = chance.choice([0, 1, 2**31, 2 ** (8 * size) - 1, chance.getrandbits(8 * size)])
         struct.pack_into(form, data, chance.randrange(min(150, len(data)) - size), value)
     return bytes(data)
-
-
-def read_all(folder):
-    """Name -> seconds, peak memory of the whole process [MB] and the words for every file."""
-    command = [sys.executable, "-c", READ, str(folder)]
-    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE)
-    assert run.returncode == 0, run.stderr[-2000:]
-    assert not run.stderr
-    lines = [json.loads(line) for line in run.stdout.splitlines()]
-    return {name: (seconds, peak, said) for name, seconds, peak, said in lines}
 
 
 def test_damaged_files_of_a_fixed_seed(tmp_path):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numba import njit
 
+from vgmpi.kernels.particle_records import load_tensor
 from vgmpi.kernels.simd import vector16
 from vgmpi.kernels.simd.material_dispatch import (
     load_state_scalar,
@@ -26,32 +27,9 @@ def stresses(law, f, out):
     cap = f.shape[1]
     flat = f.reshape(f.size)
     for p in range(0, cap, vector16.SIMD_WIDTH):
-        q = p + 3 * cap
-        c0, c1, c2 = (
-            vector16.load(flat, q),
-            vector16.load(flat, q + cap),
-            vector16.load(flat, q + 2 * cap),
-        )
-        q += 3 * cap
-        c3, c4, c5 = (
-            vector16.load(flat, q),
-            vector16.load(flat, q + cap),
-            vector16.load(flat, q + 2 * cap),
-        )
-        q += 3 * cap
-        c6, c7, c8 = (
-            vector16.load(flat, q),
-            vector16.load(flat, q + cap),
-            vector16.load(flat, q + 2 * cap),
-        )
         state = load_state_vector(law, flat, p + 13 * cap, cap)
-        t0, t1, t2, t3, t4, t5 = stress(law, state, (c0, c1, c2, c3, c4, c5, c6, c7, c8))
-        vector16.store(out[0], p, t0)
-        vector16.store(out[1], p, t1)
-        vector16.store(out[2], p, t2)
-        vector16.store(out[3], p, t3)
-        vector16.store(out[4], p, t4)
-        vector16.store(out[5], p, t5)
+        tau = stress(law, state, load_tensor(flat, p + 3 * cap, cap))
+        store_state_vector(out.reshape(out.size), p, cap, tau)
 
 
 CASES = [

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import njit
 
-from tests.benchmarks import register_spills
+from tests.support import register_spills
 from vgmpi.kernels import cell_stencil_sums, stencil_sums  # noqa: F401  (their functions)
 from vgmpi.kernels.particle_records import PATCH, PLANE, ROW
 from vgmpi.kernels.simd import row_ops, vector16

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.parallel.test_free_body_bits import SCENE
+from tests.parallel.test_scene_bits import FREE_BODIES
 from tests.support.simulate import begin
 from vgmpi.kernels.kernel_arguments import Particles, Segments
 from vgmpi.kernels.particle_records import scratch
@@ -46,7 +46,7 @@ def state(folder, text, steps):
 
 @pytest.mark.parametrize("case", ["single", "double", "two phases"])
 def test_it_changes_no_bits(tmp_path, monkeypatch, case):
-    text = SCENE.replace("single", case) if case == "double" else SCENE
+    text = FREE_BODIES.replace("single", case) if case == "double" else FREE_BODIES
     text = text + OIL if case == "two phases" else text
     found, used, near = state(tmp_path / "a", text, 60)
     assert 0 < used < 0.6 * near

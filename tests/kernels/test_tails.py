@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.kernels import test_kernels
 from tests.support.engine_pair import TOLERANCE, beside, worst
 from tests.support.rank_states import different, joined, padding
 from tests.support.small_scenes import scene
@@ -19,25 +20,9 @@ from vgmpi.solver.simulation import Simulation
 
 # vectors hold 16, batches 128
 COUNTS = (1, 15, 16, 17, 31, 32, 33, 127, 128, 129)
-HEAD = """
-[domain]
-size = [0.9, 0.24, 0.24]
-cell = 0.02
-gravity = [0.5, -0.3, -9.8]
-boundary = { default = "slip", bottom = "stick", north = { kind = "separate", friction = 0.3 } }
-[time]
-end = 1
-[accuracy]
-precision = "PRECISION"
-[material.water]
-kind = "fluid"
-tait_coefficient = 5e4
-viscosity = 0.5
-[material.rubber]
-kind = "elastic"
-density = 700
-youngs_modulus = 2e5
-"""
+HEAD = test_kernels.HEAD.replace("[0.22, 0.2, 0.18]", "[0.9, 0.24, 0.24]").replace(
+    "BOUNDARY", 'default = "slip", bottom = "stick", north = { kind = "separate", friction = 0.3 }'
+)
 BODY = """
 [[object]]
 name = "MATERIAL body"

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import strategies
 from numba import njit
 
-from tests.support.scalar_engines import ENGINES, nanoseconds, on_lanes, run
+from tests.support.scalar_engines import ENGINES, on_lanes, run
 from vgmpi.materials.tensor_math.symmetric_eigen import eigen, from_principal
 from vgmpi.materials.tensor_math.tensor import left_cauchy_green_minus_one, rotation
 
@@ -206,6 +206,3 @@ def test_lanes_stay_vectors(real):
     assert body.count(f"fmul contract <16 x {kind}>") > 50
     assert not re.search(r"alloca [^\n]*<16 x|call [^\n]*@_ZN", body)
     assert not re.search(rf"f(mul|add|sub|div)( contract)? {kind}", body)
-    given = six(FAMILIES["random"][:1024]).astype(real)
-    print(f"eigen {real.__name__}: {nanoseconds(decompose, given, 12):.1f} ns per particle")
-    print(f"rotation {real.__name__}: {nanoseconds(rotation, given, 9):.1f} ns per particle")

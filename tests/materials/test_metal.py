@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from tests.support.plastic_step import REALS, driven
+from tests.support.plastic_step import EVERY_ENGINE, driven
 from vgmpi.materials.von_mises import Metal
 
-BOTH = pytest.mark.parametrize("engine", ["plain", "lanes"])
-PRECISIONS = pytest.mark.parametrize("real", REALS)
 E, NU, Y, H = 1e9, 0.25, 1e6, 2e7
 MU = E / (2 * (1 + NU))
 STEP = 1e-5
@@ -29,8 +27,7 @@ def strain(steps):
     return steps * (np.log1p(STEP) - np.log1p(-STEP / 2)) * 2 / 3
 
 
-@BOTH
-@PRECISIONS
+@EVERY_ENGINE
 def test_tension_below_the_yield_stress_is_elastic(engine, real):
     out = driven(metal(), engine, real, [(PULL, 70)])
     assert difference(out) == pytest.approx(3 * MU * strain(70), rel=1e-3)
@@ -38,8 +35,7 @@ def test_tension_below_the_yield_stress_is_elastic(engine, real):
     assert out[6] == 0
 
 
-@BOTH
-@PRECISIONS
+@EVERY_ENGINE
 def test_tension_reaches_the_yield_stress(engine, real):
     out = driven(metal(hardening_modulus=0), engine, real, [(PULL, 500)])
     assert difference(out) == pytest.approx(Y, rel=1e-4)
@@ -47,8 +43,7 @@ def test_tension_reaches_the_yield_stress(engine, real):
     assert out[13] == pytest.approx(1, abs=1e-6)
 
 
-@BOTH
-@PRECISIONS
+@EVERY_ENGINE
 def test_slope_of_hardening(engine, real):
     """d sigma / d eps = 3 mu H / (3 mu + H), and the stress is Y + H times the plastic strain."""
     few, many = (driven(metal(), engine, real, [(PULL, n)]) for n in (300, 1300))
@@ -57,8 +52,7 @@ def test_slope_of_hardening(engine, real):
     assert difference(many) == pytest.approx(Y + H * many[6], rel=1e-4)
 
 
-@BOTH
-@PRECISIONS
+@EVERY_ENGINE
 def test_it_springs_back_and_yields_again_where_it_stopped(engine, real):
     there = driven(metal(), engine, real, [(PULL, 500)])
     partly = driven(metal(), engine, real, [(PULL, 500), (-PULL, 50)])
@@ -68,8 +62,7 @@ def test_it_springs_back_and_yields_again_where_it_stopped(engine, real):
     assert difference(again) == pytest.approx(difference(there), rel=2e-4)
 
 
-@BOTH
-@PRECISIONS
+@EVERY_ENGINE
 def test_pressure_alone_does_not_yield(engine, real):
     out = driven(metal(), engine, real, [(-1e-3 * np.eye(3), 50)])
     K = E / (3 * (1 - 2 * NU))
@@ -77,8 +70,7 @@ def test_pressure_alone_does_not_yield(engine, real):
     assert out[7:10] == pytest.approx(3 * K * 50 * np.log1p(-1e-3), rel=1e-4)
 
 
-@BOTH
-@PRECISIONS
+@EVERY_ENGINE
 def test_shear(engine, real):
     """Simple shear: |tau_xy| reaches Y / sqrt(3)."""
     L = np.zeros((3, 3))

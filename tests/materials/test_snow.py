@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from tests.support.plastic_step import REALS, driven, plain
+from tests.support.plastic_step import EVERY_ENGINE, driven, plain
 from vgmpi.materials.snow import Snow
 
-BOTH = pytest.mark.parametrize("engine", ["plain", "lanes"])
-PRECISIONS = pytest.mark.parametrize("real", REALS)
 SIDEWAYS = np.diag([1.0, 0, 0])
 
 
@@ -15,8 +13,7 @@ def snow(**keys):
     return Snow(kind="snow", **keys)
 
 
-@BOTH
-@PRECISIONS
+@EVERY_ENGINE
 @pytest.mark.parametrize("step", [-1e-3, 1e-3])
 def test_stretches_stay_at_their_limits(engine, real, step):
     table = snow()
@@ -28,8 +25,7 @@ def test_stretches_stay_at_their_limits(engine, real, step):
     assert out[6] == pytest.approx(100 * np.log1p(step) - np.log(limit), rel=1e-4)
 
 
-@BOTH
-@PRECISIONS
+@EVERY_ENGINE
 @pytest.mark.parametrize("step", [-1e-3, 1e-3])
 def test_hardening(engine, real, step):
     """tau = exp(xi (1 - Jp)) (lam + 2 mu) ln(limit), lam + 2 mu = E (1 - nu) / ((1 + nu) (1 - 2
@@ -44,8 +40,7 @@ def test_hardening(engine, real, step):
     assert out[14] >= stiff / table.density
 
 
-@BOTH
-@PRECISIONS
+@EVERY_ENGINE
 @pytest.mark.parametrize("step", [-5e-3, 5e-3])
 def test_hardening_has_a_limit(engine, real, step):
     table = snow(max_hardening_factor=4.0)
@@ -55,8 +50,7 @@ def test_hardening_has_a_limit(engine, real, step):
     assert factor == pytest.approx(4.0 if step < 0 else 0.25, rel=1e-4)
 
 
-@BOTH
-@PRECISIONS
+@EVERY_ENGINE
 def test_below_the_limits_it_is_elastic(engine, real):
     out = driven(snow(), engine, real, [(-1e-4 * SIDEWAYS, 200), (1e-4 * SIDEWAYS, 200)])
     assert out[6] == 0

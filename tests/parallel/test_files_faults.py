@@ -1,15 +1,14 @@
 """A killed run and a full disk leave the previous checkpoint valid and say what happened."""
 
 import logging
-import os
 import signal
-import subprocess
 import sys
 
 import pytest
 
 from tests.parallel.fault_job import PLACES, state
 from tests.support.launch import mpirun, run
+from tests.support.small_disk import small_disk
 from vgmpi.io import checkpoint
 from vgmpi.parallel.communicator import SerialCommunicator
 
@@ -45,15 +44,10 @@ def test_kill_during_a_checkpoint(place, tmp_path, caplog):
 
 
 @pytest.fixture
-def small_disk(tmp_path):
-    """A disk of 4 MB; only root can make one."""
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", str(folder)]
-    if os.geteuid() != 0 or subprocess.run(mount, capture_output=True).returncode:
-        pytest.skip("a small disk can be mounted by root only")
-    yield folder
-    subprocess.run(["umount", "-l", str(folder)], check=True)
+def disk(tmp_path):
+    """A disk of 4 MB."""
+    with small_disk(tmp_path / "disk", 4 << 20) as folder:
+        yield folder
 
 
 def check_full(job, folder, caplog):
@@ -84,13 +78,13 @@ def check_full(job, folder, caplog):
         ("fills before rows", 20_000, 2, 0),
     ],
 )
-def test_full_disk(fault, rows, n, gather, small_disk, caplog):
+def test_full_disk(fault, rows, n, gather, disk, caplog):
     job = mpirun(
         n,
-        *("-m", "tests.parallel.fault_job", small_disk, fault, rows * 2 // n),
+        *("-m", "tests.parallel.fault_job", disk, fault, rows * 2 // n),
         env={"VGMPI_GATHER": str(gather)},
     )
-    assert "no space left on the disk" in check_full(job, small_disk, caplog)
+    assert "no space left on the disk" in check_full(job, disk, caplog)
 
 
 def test_file_size_limit(tmp_path, caplog):

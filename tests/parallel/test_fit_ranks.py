@@ -7,8 +7,7 @@ import signal
 import pytest
 
 from tests.support import launch
-from tests.support.fit_scenes import FIT, SHORT, command, fitted_alone, go, made
-from tests.tools.test_fit import bits
+from tests.support.fit_scenes import FIT, SHORT, bits, command, fitted_alone, go, made
 from vgmpi.tools.fit.run_pool import RECORD
 
 FEW = FIT.replace("max_runs = 40\nscan_points = 4", "max_runs = 10\nscan_points = 2")

@@ -282,28 +282,26 @@ def local_cuts(monkeypatch):
     monkeypatch.setattr(simulated_ranks.Simulated, "all_rows", all_rows)
 
 
-def local_step(monkeypatch):
-    """The time step follows from this rank's particles alone."""
+def keep_own_maxima(monkeypatch, part):
+    """A rank does not hear of the others' maxima."""
     real = simulated_ranks.Simulated.max
 
     def max(self, values):
         out = real(self, values).copy()
-        out[0] = values[0]
+        out[part] = values[part]
         return out
 
     monkeypatch.setattr(simulated_ranks.Simulated, "max", max)
+
+
+def local_step(monkeypatch):
+    """The time step follows from this rank's particles alone."""
+    keep_own_maxima(monkeypatch, slice(0, 1))
 
 
 def local_sort(monkeypatch):
     """A rank sorts when its own particles have strayed."""
-    real = simulated_ranks.Simulated.max
-
-    def max(self, values):
-        out = real(self, values).copy()
-        out[1:2] = values[1:2]
-        return out
-
-    monkeypatch.setattr(simulated_ranks.Simulated, "max", max)
+    keep_own_maxima(monkeypatch, slice(1, 2))
 
 
 BITS, ERROR = "other bits", "an error"

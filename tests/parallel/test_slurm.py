@@ -8,11 +8,10 @@ import sys
 import pytest
 
 from tests.support.file_digests import digests
-from tests.support.fit_scenes import BALL, FIT, go, made, reference
+from tests.support.fit_scenes import BALL, FIT, bits, go, made, reference
 from tests.support.launch import ROOT, run
 from tests.support.slurm_cluster import Cluster, Unable, missing
 from tests.support.small_scenes import MIXED, write
-from tests.tools.test_fit import bits
 from vgmpi.io.run_reader import RunReader
 
 pytestmark = [

@@ -22,12 +22,6 @@ def ball(x, sd=0.05, opacity=0.9, n=1):
     )
 
 
-def reached(shadow, points):
-    """Light at points x, y (n, 2), of the nearest pixel."""
-    columns, rows = ((np.asarray(points) - shadow.lower) / shadow.pixel).astype(int).T
-    return shadow.light[rows, columns]
-
-
 def test_the_floor_is_seen_where_rays_meet_it_and_the_background_elsewhere():
     floor = GroundPlane(height=0.3, color=(0.2, 0.4, 0.6))
     seen = look_at((0.0, -2.0, 1.0), (0, 3.0, 1.2), (0, 0, 1), 60, 90, 70)

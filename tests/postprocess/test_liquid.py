@@ -8,6 +8,7 @@ and .2 m deep, spacing 1 cm, is seen from above.
 import numpy as np
 import pytest
 
+from tests.support.studio_scenes import pixel_of, surface_point
 from vgmpi.gaussians.camera import look_at
 from vgmpi.gaussians.cloud import pack_symmetric
 from vgmpi.postprocess.raster import ground_plane, liquid_depth, liquid_shading, liquid_surface
@@ -61,24 +62,6 @@ def drawn(splats, water, camera, background, sky, matter, under=None):
     return liquid_surface.render(splats, water, camera, background, ground, sky, matter, **OPTIONS)
 
 
-def pixel_of(camera, x):
-    local = camera.world_to_camera[:3, :3] @ x + camera.world_to_camera[:3, 3]
-    return camera.fx * local[0] / local[2] + camera.cx, camera.fy * local[1] / local[2] + camera.cy
-
-
-def surface_point(eye, mark, index):
-    """Where on z = DEEP the ray passes that goes from the eye, is refracted and meets the mark; in
-    the plane x = 0.3, by bisection."""
-    low, high = eye[1], mark[1]
-    for _ in range(60):
-        y = 0.5 * (low + high)
-        a = np.arctan2(abs(y - eye[1]), eye[2] - DEEP)
-        b = np.arcsin(np.sin(a) / index)
-        reached = y + (DEEP - mark[2]) * np.tan(b) * np.sign(mark[1] - eye[1])
-        low, high = (y, high) if (reached - mark[1]) * np.sign(mark[1] - eye[1]) < 0 else (low, y)
-    return np.array([0.3, y, DEEP])
-
-
 @pytest.mark.parametrize("angle", [20, 40, 55])
 def test_what_lies_below_is_shifted_as_snell_says(angle):
     camera = oblique(angle)
@@ -92,8 +75,8 @@ def test_what_lies_below_is_shifted_as_snell_says(angle):
         centre(drawn(splats, pool(), camera, (0, 0, 0), BLACK, medium(index=index))[0])
         for index in (INDEX, 1.0)
     )
-    apparent = pixel_of(camera, surface_point(camera.eye, mark, INDEX))
-    shift = np.subtract(apparent, pixel_of(camera, mark))
+    apparent = pixel_of(camera, surface_point(camera.eye, mark, INDEX, DEEP))
+    shift = apparent - pixel_of(camera, mark)
     assert np.hypot(*shift) > 5
     assert np.hypot(*(seen - alone - shift)) < 0.06 * np.hypot(*shift), (seen - alone, shift)
 

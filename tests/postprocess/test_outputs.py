@@ -3,7 +3,6 @@
 import json
 import shutil
 import subprocess
-from pathlib import Path
 
 import imageio.v3 as iio
 import numpy as np
@@ -17,7 +16,6 @@ from vgmpi.gaussians.camera import look_at
 from vgmpi.postprocess.commands import render
 from vgmpi.postprocess.frames import frame_renderer, image_io
 
-ROOT = Path(__file__).resolve().parents[2]
 SMALL = "[picture]\nwidth = 96\nheight = 80\n"
 DRAW = ("-m", "vgmpi", "render")
 TWO = '[[camera]]\nname = "south"\nazimuth = 0\n[[camera]]\nname = "east"\nazimuth = 90\n'

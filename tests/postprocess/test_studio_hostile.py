@@ -54,7 +54,6 @@ BAD = {
     "light": NO_TABLE,
     "picture.floor": NO_TABLE,
 }  # fmt: skip
-CASES = [(key, value) for key, values in BAD.items() for value in values]
 
 
 def load(folder, text):

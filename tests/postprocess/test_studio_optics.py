@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.support import studio_scenes
-from tests.support.studio_scenes import INDEX, fresnel, inner
+from tests.support.studio_scenes import INDEX, fresnel, inner, pixel_of, surface_point
 from vgmpi.postprocess.studio import deferred_shading, liquid_radiance, studio_ground
 
 H, DEEP = 0.01, 0.2
@@ -42,26 +42,6 @@ def centre(image):
     return np.array([(red * columns).sum(), (red * rows).sum()]) / red.sum() + 0.5
 
 
-def pixel_of(camera, x):
-    local = camera.world_to_camera[:3, :3] @ x + camera.world_to_camera[:3, 3]
-    return np.array(
-        [camera.fx * local[0] / local[2] + camera.cx, camera.fy * local[1] / local[2] + camera.cy]
-    )
-
-
-def surface_point(eye, mark, index):
-    """Where on z = DEEP the ray passes that goes from the eye, is refracted and meets the mark; in
-    the plane x = 0.3, by bisection."""
-    low, high = eye[1], mark[1]
-    for _ in range(60):
-        y = 0.5 * (low + high)
-        a = np.arctan2(abs(y - eye[1]), eye[2] - DEEP)
-        b = np.arcsin(np.sin(a) / index)
-        reached = y + (DEEP - mark[2]) * np.tan(b)
-        low, high = (y, high) if reached < mark[1] else (low, y)
-    return np.array([0.3, y, DEEP])
-
-
 def spot(x, mark, radius=0.03):
     """Red light (..., 3) around a mark, seen on a plane's points x (..., 3)."""
     out = np.zeros(x.shape, np.float32)
@@ -91,7 +71,7 @@ def test_a_mark_is_shifted_as_snell_says(pool, angle, opaque):
             plane.light[:] = spot(np.stack([x, y, 0.0 * x], -1), mark)
             stage = stage._replace(plane=plane)
         seen[index] = centre(studio_scenes.draw(stage, covered=opaque))
-    apparent = pixel_of(camera, surface_point(camera.eye, mark, INDEX))
+    apparent = pixel_of(camera, surface_point(camera.eye, mark, INDEX, DEEP))
     shift = apparent - pixel_of(camera, mark)
     assert np.hypot(*shift) > 5
     assert np.hypot(*(seen[INDEX] - seen[1.0] - shift)) < 0.03 * np.hypot(*shift), (seen, shift)

@@ -1,21 +1,18 @@
 """Damaged mesh files: a mesh or one line, at once, and no more memory than the size explains."""
 
 import base64
-import json
+import functools
 import lzma
 import re
 import struct
-import subprocess
-import sys
 import tracemalloc
 import zlib
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.support import damaged_meshes
-from tests.support.launch import PATIENCE
+from tests.support.peak_memory import read_apart
 from vgmpi.preprocess.meshes import (
     bounded_reader,
     mesh_formats,
@@ -28,7 +25,6 @@ from vgmpi.preprocess.meshes.surface_mesh import MeshError
 from vgmpi.preprocess.meshes.triangle_mesh import Mesh
 from vgmpi.runtime import process_limits
 
-ROOT = Path(__file__).resolve().parents[2]
 FILES = 60  # damaged files of each format; VTK reads the last two by the same code
 
 # reads the files of a folder; the peak memory is the kernel's, set back before each file
@@ -50,13 +46,8 @@ for path in sorted(pathlib.Path(sys.argv[1]).iterdir()):
 """
 
 
-def read_apart(folder):
-    """Return name, seconds, peak memory [MB] here and of VTK's process, and words, by file."""
-    command = [sys.executable, "-c", READ, str(folder)]
-    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE)
-    assert run.returncode == 0, run.stderr[-2000:]
-    assert run.stderr == ""  # what a library prints is no message
-    return [json.loads(line) for line in run.stdout.splitlines()]
+# name, seconds, peak memory [MB] here and of VTK's process, and words, by file
+read_all = functools.partial(read_apart, READ)
 
 
 @pytest.mark.parametrize("suffix", damaged_meshes.WAYS)
@@ -70,7 +61,7 @@ def test_damage_is_one_line_or_a_mesh(tmp_path, suffix):
     for k in range(count):
         spoiled = damaged_meshes.damage(whole[k % len(whole)], random)
         (folder / f"{k:03}{suffix}").write_bytes(spoiled)
-    found = read_apart(folder)
+    found = read_all(folder)
     assert len(found) == count
     for name, seconds, peak, child, said in found:
         is_mesh = re.fullmatch(r"\d+ points, \d+ triangles", said)
@@ -124,7 +115,7 @@ def test_what_unpacks_to_far_more_than_the_file_is_refused(tmp_path, name):
     folder = tmp_path / "bomb"
     folder.mkdir()
     write(folder / "a.vtu", compressor, size, bomb, bomb, count=2 * size // 24)
-    [(_, _, peak, child, said)] = read_apart(folder)
+    [(_, _, peak, child, said)] = read_all(folder)
     assert said.startswith(f"{folder / 'a.vtu'}: cannot be read as a mesh: ")
     assert (
         re.search("memory|Unable to allocate", said) and peak < 200 and child < 450
@@ -146,7 +137,7 @@ def test_what_unpacks_to_far_more_than_the_file_is_refused(tmp_path, name):
 )  # fmt: skip
 def test_a_header_that_promises_too_much(tmp_path, name, text):
     (tmp_path / name).write_text(text, encoding="latin-1")
-    [(_, seconds, peak, child, said)] = read_apart(tmp_path)
+    [(_, seconds, peak, child, said)] = read_all(tmp_path)
     assert said.startswith(f"{tmp_path / name}: cannot be read as a mesh: ") and "\n" not in said
     assert seconds < 1 and peak < 200 and child < 450
 

@@ -3,19 +3,15 @@
 import numpy as np
 
 from tests.support import dense_rasterizer
-from tests.support.drawn_runs import on_paper
+from tests.support.drawn_runs import on_paper, write_run
 from tests.support.small_scenes import scene as load_scene
 from vgmpi.gaussians.cloud import GaussianCloud, unpack_symmetric
 from vgmpi.gaussians.formats import registry
-from vgmpi.io import file_layout
-from vgmpi.io.frames import Frames
-from vgmpi.io.run_reader import RunReader, read_gaussians
-from vgmpi.parallel.communicator import SerialCommunicator
+from vgmpi.io.run_reader import RunReader
 from vgmpi.postprocess.frames import render_config
 from vgmpi.postprocess.frames.appearance import Appearance
 from vgmpi.postprocess.frames.camera_paths import CameraPath
 from vgmpi.postprocess.frames.frame_renderer import FrameRenderer, visible_extent
-from vgmpi.solver.initial_particles import prepare, write_initial_particles
 
 SCENE = """
 [domain]
@@ -75,23 +71,6 @@ def ball(n=500, seed=0):
 
 def loaded(folder, ball="", moon=""):
     return load_scene(folder, SCENE.replace("BALL", ball).replace("MOON", moon))
-
-
-def write_run(made, out):
-    """Write the files of a run that has not moved yet."""
-    ranks = SerialCommunicator()
-    write_initial_particles(made, prepare(made, ranks, out), ranks, out)
-    rows = read_gaussians(out / file_layout.GAUSSIANS)
-    n = len(rows.x0)
-    fields = {
-        "positions": np.asarray(rows.x0, "f4"),
-        "velocity": np.zeros((n, 3), "f4"),
-        "J": np.ones(n, "f4"),
-        "F": np.tile(np.eye(3, dtype="f4").ravel(), (n, 1)),
-        "object": np.asarray(rows.object),
-    }
-    Frames(out, ranks, n).write(0, 0.0, 0, np.arange(n), fields)
-    return out
 
 
 KEYS = {

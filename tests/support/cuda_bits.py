@@ -112,28 +112,23 @@ def _no_order(count, end, targets, ids, source):
     pass
 
 
-def _shuffled(self, part):
+def _reversed(self, part, first=0):
     found = USUAL(self, part)
     rows = {
-        key: device_group.to_card(rows.copy_to_host()[::-1][1:])
+        key: device_group.to_card(rows.copy_to_host()[::-1][first:])
         for key, rows in found.contributions.items()
     }
     return found._replace(contributions=rows)
+
+
+def _shuffled(self, part):
+    return _reversed(self, part, 1)
 
 
 def _from_its_neighbour(row, push, least):
     mass = from_lane(row, cuda.threadIdx.x & 15)
     moved = row / mass + push
     return moved if (cuda.threadIdx.x & 3) < 3 else row
-
-
-def _reversed(self, part):
-    found = USUAL(self, part)
-    rows = {
-        key: device_group.to_card(rows.copy_to_host()[::-1])
-        for key, rows in found.contributions.items()
-    }
-    return found._replace(contributions=rows)
 
 
 BREAKS = {

@@ -5,9 +5,12 @@ import numpy as np
 from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
 from vgmpi.io import file_layout, initial_state
 from vgmpi.io.frames import Frames
+from vgmpi.io.run_reader import read_gaussians
 from vgmpi.parallel.communicator import SerialCommunicator
+from vgmpi.solver.initial_particles import prepare, write_initial_particles
 
 WATER, BAR = 6**3, 40
+REST = np.eye(3)  # no deformation
 CELLS = 5  # along the domain of a run with a cell
 BLUE, RED, BROWN = (0.2, 0.4, 0.9), (0.9, 0.1, 0.1), (0.5, 0.4, 0.3)
 
@@ -112,4 +115,22 @@ def write(folder, frames=3, scene=True, height=1.0, cell=None, **options):
     for k in range(frames):
         fields = enlarged(frame_fields(rows, k, frames), scale)
         files.write(k, 0.04 * k, k, np.arange(len(rows["x0"])), fields)
+    return folder
+
+
+def write_run(scene, folder, F=REST, middle=0.0):
+    """Write the run of a scene with one frame, deformed by F (3, 3) about a point; return it."""
+    alone = SerialCommunicator()
+    write_initial_particles(scene, prepare(scene, alone, folder), alone, folder)
+    rest = read_gaussians(folder / file_layout.GAUSSIANS)
+    n = len(rest.x0)
+    fields = {
+        "positions": (rest.x0 - middle) @ F.T + middle,
+        "velocity": np.zeros((n, 3)),
+        "J": np.full(n, np.linalg.det(F)),
+        "F": np.tile(F.ravel(), (n, 1)),
+    }
+    fields = {name: values.astype("f4") for name, values in fields.items()}
+    fields["object"] = np.asarray(rest.object)
+    Frames(folder, alone, n).write(0, 0.0, 0, np.arange(n), fields)
     return folder

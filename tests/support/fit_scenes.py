@@ -1,10 +1,12 @@
 """Small scenes that the tests of fits run, and how they are run."""
 
+import csv
 import sys
 from pathlib import Path
 
 from tests.support import launch
 from vgmpi import api
+from vgmpi.tools.fit import __main__ as fit
 
 BALL = """
 title = "ball"
@@ -48,11 +50,11 @@ discretization_check = "none"
 """
 
 
-def made(folder: Path, text: str, fit: str) -> tuple[Path, Path]:
+def made(folder: Path, text: str, fit_text: str) -> tuple[Path, Path]:
     """The files of a scene and a fit in a folder."""
     scene, file = folder / "scene.toml", folder / "fit.toml"
     scene.write_text(text)
-    file.write_text(fit)
+    file.write_text(fit_text)
     return scene, file
 
 
@@ -66,9 +68,9 @@ def reference(folder: Path, text: str, changes: dict | None = None, name="refere
 SHORT = BALL.replace("end = 0.06", "end = 0.02").replace("frames = 7", "frames = 3")
 
 
-def fitted_alone(folder: Path, fit: str) -> Path:
+def fitted_alone(folder: Path, fit_text: str) -> Path:
     """The folder with the short scene and a fit, and in alone/ what one process made of them."""
-    scene, file = made(folder, SHORT, fit)
+    scene, file = made(folder, SHORT, fit_text)
     reference(folder, SHORT)
     done = go(scene, file, folder / "alone")
     assert done.returncode == 0, done.stderr
@@ -83,3 +85,25 @@ def command(scene: Path, fit: Path, out: Path, *flags) -> list:
 def go(scene: Path, fit: Path, out: Path, *flags):
     """A fit in a process of its own."""
     return launch.run(command(scene, fit, out, *flags))
+
+
+def rows(out: Path, but=("seconds",)) -> list[dict]:
+    """The runs that a fit tells of, without some columns."""
+    with open(out / "fit.csv") as f:
+        return [{k: v for k, v in row.items() if k not in but} for row in csv.DictReader(f)]
+
+
+def bits(out: Path) -> list:
+    """All that is told, but the time that it took."""
+    names = ("fitted.toml", "report.md")
+    return [rows(out), *((out / name).read_bytes() for name in names)]
+
+
+def refused(capsys, folder: Path, text: str, out: str = "fit") -> tuple[Path, str]:
+    """The file of a fit of the ball that is wrong, and the one line that the command says."""
+    scene, file = made(folder, BALL, text)
+    capsys.readouterr()
+    assert fit.main([str(scene), str(file), "-o", str(folder / out)]) == 2
+    told = capsys.readouterr().err.strip().splitlines()
+    assert len(told) == 1, told
+    return file, told[0]

@@ -78,6 +78,8 @@ def mpirun(n, *arguments, env=None, cwd=ROOT) -> subprocess.CompletedProcess:
     return run(on_ranks(n, *arguments), env, cwd)
 
 
-def go(scene, out, n, *flags) -> subprocess.CompletedProcess:
-    """Run a scene into the folder `out` on n ranks."""
-    return mpirun(n, "-m", "vgmpi", scene, "-q", "-o", out, *flags)
+def go(scene, out, n, *flags, code=0) -> subprocess.CompletedProcess:
+    """Run a scene into the folder `out` on n ranks; it ends with this exit code."""
+    job = mpirun(n, "-m", "vgmpi", scene, "-q", "-o", out, *flags)
+    assert job.returncode == code, job.stderr
+    return job

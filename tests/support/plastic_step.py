@@ -1,19 +1,19 @@
 """A step of laws with a yield surface on every engine; their states are B and one number."""
 
 import numpy as np
+import pytest
 from numba import njit
 
+from tests.support.law_driver import law_of
+from vgmpi.kernels.particle_records import load_tensor
 from vgmpi.kernels.simd import material_dispatch, vector16
 from vgmpi.kernels.simd.material_dispatch import load_state_vector, store_state_vector
 from vgmpi.materials.material import law_owner
 
 REALS = (np.float32, np.float64)
-
-
-def law_of(table, real):
-    """The law's numbers in a precision."""
-    law = table.law()
-    return type(law)(*(real(v) for v in law))
+EVERY_ENGINE = pytest.mark.parametrize(
+    "engine, real", [(engine, real) for engine in ("plain", "lanes") for real in REALS]
+)
 
 
 @njit(error_model="numpy")
@@ -24,25 +24,7 @@ def step(law, f, out, dt):
     cap = f.shape[1]
     flat, flat_out = f.reshape(f.size), out.reshape(out.size)
     for p in range(0, cap, vector16.SIMD_WIDTH):
-        q = p + 7 * cap
-        c0, c1, c2 = (
-            vector16.load(flat, q),
-            vector16.load(flat, q + cap),
-            vector16.load(flat, q + 2 * cap),
-        )
-        q += 3 * cap
-        c3, c4, c5 = (
-            vector16.load(flat, q),
-            vector16.load(flat, q + cap),
-            vector16.load(flat, q + 2 * cap),
-        )
-        q += 3 * cap
-        c6, c7, c8 = (
-            vector16.load(flat, q),
-            vector16.load(flat, q + cap),
-            vector16.load(flat, q + 2 * cap),
-        )
-        L = (c0, c1, c2, c3, c4, c5, c6, c7, c8)
+        L = load_tensor(flat, p + 7 * cap, cap)
         state = material_dispatch.advance(law, load_state_vector(law, flat, p, cap), L, dt)
         store_state_vector(flat_out, p, cap, state)
         store_state_vector(flat_out, p + 7 * cap, cap, material_dispatch.stress(law, state, L))
@@ -77,3 +59,16 @@ def driven(table, engine, real, moves, state=(0.0,) * 7):
             f[:7] = out[:7]
     assert (out == out[:, :1]).all()
     return out[:, 0].astype(float)
+
+
+def strained(n, low, high, seed=1):
+    """f (16, n): elastic states with strains of 10^low to 10^high, most under pressure, v_c, and L:
+    in all directions."""
+    random = np.random.default_rng(seed)
+    size = 10 ** random.uniform(low, high, n)
+    h = random.normal(size=(n, 3, 3)) * size[:, None, None] / 3
+    h -= np.eye(3) * (size * random.uniform(0, 1, n))[:, None, None]
+    b = h + h.transpose(0, 2, 1) + h @ h.transpose(0, 2, 1)
+    v_c = np.where(random.random(n) < 0.5, 0, 0.3 * size * random.normal(size=n))
+    rows = [b[:, i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+    return np.array([*rows, v_c, *random.normal(size=(9, n)) * size])

@@ -1,10 +1,9 @@
 """One function of scalars on every engine that runs laws."""
 
-import time
-
 import numpy as np
 from numba import njit
 
+from vgmpi.kernels.particle_records import load_tensor
 from vgmpi.kernels.simd import vector16
 from vgmpi.kernels.simd.material_dispatch import store_state_vector
 
@@ -22,24 +21,7 @@ def on_lanes(function):
         cap = f.shape[1]
         flat, flat_out = f.reshape(f.size), out.reshape(out.size)
         for p in range(0, cap, vector16.SIMD_WIDTH):
-            a, b, c = (
-                vector16.load(flat, p),
-                vector16.load(flat, p + cap),
-                vector16.load(flat, p + 2 * cap),
-            )
-            q = p + 3 * cap
-            d, e, g = (
-                vector16.load(flat, q),
-                vector16.load(flat, q + cap),
-                vector16.load(flat, q + 2 * cap),
-            )
-            q += 3 * cap
-            h, i, j = (
-                vector16.load(flat, q),
-                vector16.load(flat, q + cap),
-                vector16.load(flat, q + 2 * cap),
-            )
-            store_state_vector(flat_out, p, cap, function((a, b, c, d, e, g, h, i, j)))
+            store_state_vector(flat_out, p, cap, function(load_tensor(flat, p, cap)))
 
     return go
 
@@ -62,15 +44,3 @@ def run(engine, function, given):
     out = np.full((size, given.shape[1]), np.nan, real)
     on_lanes(compiled)(given, out)
     return out
-
-
-def nanoseconds(function, given, size) -> float:
-    """Time of `function` per column in lanes [ns]: the best of many rounds."""
-    go = on_lanes(njit(function, error_model="numpy", forceinline=True))
-    out = np.empty((size, given.shape[1]), given.dtype)
-    best = np.inf
-    for _ in range(100):
-        begin = time.perf_counter()
-        go(given, out)
-        best = min(best, time.perf_counter() - begin)
-    return best / given.shape[1] * 1e9

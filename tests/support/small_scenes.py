@@ -60,6 +60,13 @@ kind = "elastic"
 density = 400
 youngs_modulus = 1e5
 """
+# in the middle of it
+BALL = """
+[[object]]
+name = "ball"
+material = "clay"
+shape = { sphere = { center = [0.2, 0.2, 0.2], radius = 0.05 } }
+"""
 
 # every kind of wall, two fluids in one phase, two solids that meet each other, the fluids and a
 # collider, fast enough to sort and migrate

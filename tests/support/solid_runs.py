@@ -2,16 +2,13 @@
 
 import numpy as np
 
+from tests.support.drawn_runs import write_run
 from tests.support.small_scenes import scene
-from vgmpi.io import file_layout
-from vgmpi.io.frames import Frames
-from vgmpi.io.run_reader import RunReader, read_gaussians
-from vgmpi.parallel.communicator import SerialCommunicator
+from vgmpi.io.run_reader import RunReader
 from vgmpi.postprocess.frames import render_config
 from vgmpi.postprocess.frames.frame_renderer import FrameRenderer
 from vgmpi.postprocess.raster.rasterize import supersampled_camera
 from vgmpi.postprocess.studio.ray_scene import view_of
-from vgmpi.solver.initial_particles import prepare, write_initial_particles
 
 MIDDLE = np.array([0.2, 0.2, 0.2])  # [m] of the domain
 ROOM = """
@@ -49,21 +46,8 @@ def write(folder, objects, deformation=None):
         objects: Tables [[object]] of the scene.
         deformation: Matrix (3, 3) of the whole room, or None.
     """
-    loaded = scene(folder, ROOM + objects)
-    alone = SerialCommunicator()
-    write_initial_particles(loaded, prepare(loaded, alone, folder), alone, folder)
-    rest = read_gaussians(folder / file_layout.GAUSSIANS)
     F = np.eye(3) if deformation is None else np.asarray(deformation, dtype=float)
-    n = len(rest.x0)
-    fields = {
-        "positions": (rest.x0 - MIDDLE) @ F.T + MIDDLE,
-        "velocity": np.zeros((n, 3)),
-        "J": np.full(n, np.linalg.det(F)),
-        "F": np.tile(F.ravel(), (n, 1)),
-    }
-    fields = {name: values.astype("f4") for name, values in fields.items()}
-    Frames(folder, alone, n).write(0, 0.0, 0, np.arange(n), fields | {"object": rest.object})
-    return RunReader(folder)
+    return RunReader(write_run(scene(folder, ROOM + objects), folder, F, MIDDLE))
 
 
 def painter(run, folder, text=CAMERA):

@@ -175,3 +175,22 @@ def fresnel(angle, index=INDEX):
 def inner(angle, index=INDEX):
     """Angle of the refracted ray [rad] of one that comes at an angle [degrees]."""
     return np.arcsin(np.sin(np.radians(angle)) / index)
+
+
+def pixel_of(camera, x):
+    """Where a camera sees a point, (2,) [pixels]."""
+    x, y, depth = camera.world_to_camera[:3, :3] @ x + camera.world_to_camera[:3, 3]
+    return np.array([camera.fx * x / depth + camera.cx, camera.fy * y / depth + camera.cy])
+
+
+def surface_point(eye, mark, index, deep):
+    """Where on z = deep the ray passes that goes from the eye, is refracted and meets the mark; in
+    the plane x = 0.3, by bisection."""
+    low, high, way = eye[1], mark[1], np.sign(mark[1] - eye[1])
+    for _ in range(60):
+        y = 0.5 * (low + high)
+        a = np.arctan2(abs(y - eye[1]), eye[2] - deep)
+        b = np.arcsin(np.sin(a) / index)
+        reached = y + (deep - mark[2]) * np.tan(b) * way
+        low, high = (y, high) if (reached - mark[1]) * way < 0 else (low, y)
+    return np.array([0.3, y, deep])

@@ -1,7 +1,6 @@
 """Fits: what is put in is found again, a fit that was killed goes on with the same bits, and what
 cannot be told apart is refused."""
 
-import csv
 import json
 import os
 import random
@@ -14,7 +13,7 @@ import pytest
 import pyvista
 
 from tests.support import launch
-from tests.support.fit_scenes import BALL, FIT, command, go, made, reference
+from tests.support.fit_scenes import BALL, FIT, bits, command, go, made, reference, rows
 from vgmpi.scene.loader import load
 from vgmpi.tools.fit import __main__ as fit
 from vgmpi.tools.fit import optimizers, parameter_space, uncertainty
@@ -44,17 +43,6 @@ def whole(folder):
     scene, file = made(folder, BALL, FIT)
     assert fit.main([str(scene), str(file), "-o", str(folder / "whole")]) == 0
     return folder / "whole"
-
-
-def rows(out, but=("seconds",)):
-    with open(out / "fit.csv") as f:
-        return [{k: v for k, v in row.items() if k not in but} for row in csv.DictReader(f)]
-
-
-def bits(out):
-    """All that is told, but the time that it took."""
-    names = ("fitted.toml", "report.md")
-    return [rows(out), *((out / name).read_bytes() for name in names)]
 
 
 def test_what_was_put_in_is_found(folder, whole):

@@ -5,8 +5,8 @@ import sys
 import numpy as np
 import pytest
 
-from tests.support.fit_scenes import BALL, FIT, made, reference
-from tests.tools.test_fit import DENSITY, bits, rows
+from tests.support.fit_scenes import BALL, FIT, bits, made, reference, rows
+from tests.tools.test_fit import DENSITY
 from vgmpi.scene.loader import load
 from vgmpi.tools.fit import __main__ as fit
 from vgmpi.tools.fit import optimizers

@@ -1,7 +1,6 @@
 """Score distillation through differences: on random models of each kind, loaded as real ones are,
 against autograd; what they are asked against diffusers' own pipelines and schedulers."""
 
-import csv
 import importlib.util
 import shutil
 
@@ -9,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.support import launch, sds_fits, tiny_video_models
-from tests.support.fit_scenes import BALL, command, go, made
+from tests.support.fit_scenes import BALL, bits, command, go, made
 from vgmpi.scene.loader import load
 from vgmpi.tools.fit import __main__ as fit
 from vgmpi.tools.fit import sds_descent
@@ -356,12 +355,6 @@ def command_files(models):
     return made(
         folder, BALL, sds_fits.sds("../flow", more="frames = 5\nnoise_samples = 2", method=SHORT)
     )
-
-
-def bits(out):
-    with open(out / "fit.csv") as f:
-        rows = [{k: v for k, v in row.items() if k != "seconds"} for row in csv.DictReader(f)]
-    return rows, *((out / name).read_bytes() for name in ("fitted.toml", "report.md"))
 
 
 def test_the_command_says_what_it_takes_and_writes_what_it_found(models, whole, capsys):

@@ -8,8 +8,7 @@ import sys
 import pytest
 
 from tests.support import launch
-from tests.support.fit_scenes import FIT, fitted_alone
-from tests.tools.test_fit import bits
+from tests.support.fit_scenes import FIT, bits, fitted_alone
 from vgmpi.io.run_lock import file_lock
 from vgmpi.scene.loader import load
 from vgmpi.tools.fit import optimizers

@@ -10,7 +10,7 @@ import pytest
 from scipy import ndimage
 
 from tests.benchmarks.recovery import aside, view
-from tests.support.fit_scenes import BALL, FIT, made, reference
+from tests.support.fit_scenes import BALL, FIT, made, reference, refused
 from vgmpi.io.run_reader import RunReader
 from vgmpi.postprocess.commands import render
 from vgmpi.postprocess.frames.image_io import to_bytes, write_png
@@ -202,9 +202,7 @@ def test_pictures_are_moved(by):
 
 def test_what_does_not_fit_is_refused(folder, monkeypatch, capsys):
     monkeypatch.setattr(process_limits, "available_memory", lambda swap=False: 3 << 20)
-    scene, file = made(folder, BALL, text('video = "pictures"'))
-    assert fit.main([str(scene), str(file), "-o", str(folder / "large")]) == 2
-    told = capsys.readouterr().err
+    _, told = refused(capsys, folder, text('video = "pictures"'), "large")
     assert "target.pixels: 40 runs of such pictures take 0.0487 GiB; 0.00293 GiB are free" in told
 
 
@@ -266,19 +264,16 @@ def test_a_wrong_file_is_told_by_its_line(folder, capsys, name):
     content = text(keys)
     if gone:
         content = content.replace('render = "render.toml"\n', "")
-    scene, file = made(folder, BALL, content)
-    assert fit.main([str(scene), str(file), "-o", str(folder / "wrong")]) == 2
-    told = capsys.readouterr().err.strip().splitlines()
-    assert len(told) == 1 and told[0].startswith(f"{file}:{line}: {said}"), told
+    file, told = refused(capsys, folder, content, "wrong")
+    assert told.startswith(f"{file}:{line}: {said}"), told
     assert not (folder / "wrong").exists()
 
 
 def test_a_render_toml_that_draws_nothing_is_told(folder, capsys):
     (folder / "none.toml").write_text(view(*CAMERA) + "[frames]\nfirst = 9\n")
     keys = f'{VIDEO}\nframe_time = "10 ms"'
-    scene, file = made(folder, BALL, text(keys).replace("render.toml", "none.toml"))
-    assert fit.main([str(scene), str(file), "-o", str(folder / "none")]) == 2
-    told = capsys.readouterr().err.strip()
+    changed = text(keys).replace("render.toml", "none.toml")
+    file, told = refused(capsys, folder, changed, "none")
     assert told == f"{file}:6: target.render: draws none of the scene's 7 frames; got 'none.toml'"
 
 
@@ -295,10 +290,8 @@ def test_a_wrong_render_toml_is_told(folder, capsys, old, new, said):
     content = view(*CAMERA)
     assert old in content
     (folder / "bad.toml").write_text(content.replace(old, new))
-    scene, file = made(folder, BALL, text(VIDEO).replace("render.toml", "bad.toml"))
-    assert fit.main([str(scene), str(file), "-o", str(folder / "bad")]) == 2
-    told = capsys.readouterr().err.strip().splitlines()
-    assert len(told) == 1 and said in told[0], told
+    _, told = refused(capsys, folder, text(VIDEO).replace("render.toml", "bad.toml"), "bad")
+    assert said in told
 
 
 def test_a_fit_goes_on(folder, capsys):

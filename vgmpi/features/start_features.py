@@ -17,8 +17,8 @@ AFTER_FEATURES_OF_PLAN = {
     "rigid_bodies": ("rigid_bodies.coupling", "start"),
     "prescribed_motion": ("prescribed_motion.coupling", "start"),
     "reactions": ("reactions.coupling", "start"),
-    "inlets": ("inlets_outlets.inlets", "start"),
-    "outlets": ("inlets_outlets.outlets", "start"),
+    "inlets": ("inlets_outlets.coupling", "start_inlets"),
+    "outlets": ("inlets_outlets.coupling", "start_outlets"),
     "releases": ("releases.coupling", "start"),
     "thin_walls": ("thin_walls.coupling", "start"),
 }

@@ -5,7 +5,7 @@ ghost nodes beyond it is folded back, reflected, onto their mirror nodes, and th
 are read from the mirror. That makes the wall second order (a plain clamp at the wall node is first
 order). Since every particle that touches a ghost node touches its mirror node too, both happen
 inside a patch. An open wall does nothing: particles that reach it are removed
-(features/inlets_outlets/outlets.py).
+(features/inlets_outlets/coupling.py).
 
 A separate wall only pushes. On liquids it is a clamp with Coulomb friction. On everything else it
 is a mirror for what presses on it and a clamp for what pulls: the patch of a segment folds back the

@@ -14,6 +14,7 @@ import numpy as np
 
 from vgmpi.materials.couplings.interaction import MIXING, InteractionRules
 from vgmpi.materials.material import law_function
+from vgmpi.planning.phases_and_groups import idle_phase, with_soft_bodies
 from vgmpi.scene.gravity import Keys, gravity_at, gravity_keys, mean_gravity
 from vgmpi.scene.joints import Joint
 from vgmpi.scene.loads import mean_ramp_factor
@@ -24,7 +25,6 @@ from .back_sides import WallSidesPlan, with_back_sides
 from .color_exchange import ColorExchange, color_exchange
 from .correction_intervals import correction_interval, shift_interval
 from .feature_plan import FeaturePlan, feature_plans
-from .idle_phase import idle_phase
 from .implicit_pressure_rules import check_implicit_pressure, falling_rate, is_implicit
 from .inlet_schedule import InletPlan, OutletPlan, inlet_plans, outlet_plans
 from .interaction_rules import interaction_rules, with_slip_wave_factors
@@ -40,7 +40,6 @@ from .prescribed_bodies import Extents, PrescribedBodyPlan, prescribed_body_plan
 from .proximity import Proximity
 from .region_groups import RegionPlan
 from .rigid_bodies import RigidBodiesSummary
-from .soft_bodies import with_soft_bodies
 from .surface_friction import SurfaceSlipPlan, friction_table, slip_of_solids, surface_slip_plan
 
 FLOAT_TYPES: dict[str, np.dtype] = {

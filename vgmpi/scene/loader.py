@@ -1,5 +1,6 @@
 """Loader of scene files: checks all tables of a TOML file and builds a `Scene`."""
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,6 @@ from .gravity import validate_gravity
 from .inlets_outlets import Inlet, Outlet, validate_balance, validate_inlet, validate_outlet
 from .joints import joint_names, read_joints
 from .loads import Load, validate_load
-from .number_range import numbers_out_of_range
 from .object_files import find_object_file
 from .objects import Object, validate_body_name, validate_object, validate_release
 from .probes import Probe, collider_names, validate_probe
@@ -393,3 +393,27 @@ class SceneLoader:
                 "lies outside the scene's folder: give it on the command line (-o), or set"
                 f" allow_outside = true at the top of the scene; {format_input(folder)}",
             )
+
+
+# Moduli, densities and their ratios stay normal numbers of the precision within this range.
+LIMITS = {"single": 1e30, "double": 1e200}
+
+
+def numbers_out_of_range(material: Any, precision: str) -> list[tuple[str, str]]:
+    """Return (key, message) of each number of a material that the precision cannot compute with.
+
+    Args:
+        material: Table of a material.
+        precision: `accuracy.precision`.
+    """
+    limit, errors = LIMITS[precision], []
+    for key, value in material:
+        if not isinstance(value, float) or value == 0.0 or not math.isfinite(value):
+            continue
+        if not 1.0 / limit <= abs(value) <= limit:
+            limits = f"between {1.0 / limit:.0e} and {limit:.0e}"
+            errors.append((
+                key,
+                f"is {value:g} in SI units; {precision} precision computes with numbers {limits}",
+            ))  # fmt: skip
+    return errors

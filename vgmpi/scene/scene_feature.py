@@ -5,9 +5,11 @@ its name in FEATURES, as a material is found by its file: the rooms below know t
 `SceneFeature` and no feature.
 """
 
+import inspect
 from collections.abc import Mapping
 from functools import cache
 from importlib import import_module
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -119,6 +121,11 @@ class SceneFeature:
 def features() -> tuple[SceneFeature, ...]:
     """Return the features in the order in which they act."""
     return tuple(import_module(f"vgmpi.features.{name}.feature").FEATURE for name in FEATURES)
+
+
+def feature_folders() -> list[str]:
+    """Return the folders of the features' sources."""
+    return [str(Path(inspect.getfile(type(feature))).parent) for feature in features()]
 
 
 @cache

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from vgmpi import features, gaussians
+from vgmpi import gaussians
 from vgmpi import preprocess as preparation
 from vgmpi.io import checkpoint, file_layout, hdf5_writer, initial_state
 from vgmpi.io.run_reader import RunError, opened, read_gaussians
@@ -27,7 +27,7 @@ from vgmpi.preprocess.meshes import triangle_mesh
 from vgmpi.preprocess.motion_checks import extent, motion_steps
 from vgmpi.preprocess.setting_checks import holding_walls
 from vgmpi.scene.scene import Scene
-from vgmpi.scene.scene_feature import InitialParticles, prepare_features
+from vgmpi.scene.scene_feature import InitialParticles, feature_folders, prepare_features
 from vgmpi.solver.estimates.measure_proximity import surroundings
 from vgmpi.solver.estimates.measure_rigid_bodies import measure_rigid_bodies
 
@@ -316,7 +316,7 @@ def preparation_hash(scene: Scene) -> str:
             with open(path, "rb") as file:  # it may be of any size
                 while chunk := file.read(1 << 20):
                     hasher.update(chunk)
-    for folder in (*preparation.__path__, *gaussians.__path__, *features.__path__):
+    for folder in (*preparation.__path__, *gaussians.__path__, *feature_folders()):
         for path in sorted(Path(folder).rglob("*.py")):
             hasher.update(path.read_bytes())
     return hasher.hexdigest()

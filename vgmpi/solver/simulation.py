@@ -19,6 +19,7 @@ from vgmpi.kernels.step_records import (
 )
 from vgmpi.kernels.transfer import g2p
 from vgmpi.kernels.transfer.particle_shifting import MAX_SHIFT_CELLS
+from vgmpi.materials.couplings.interaction import CONTACT, MIXING
 from vgmpi.parallel import exchange_topology, migration
 from vgmpi.parallel.block_lattice import BlockLattice
 from vgmpi.parallel.block_ownership import BlockDirectory
@@ -28,11 +29,12 @@ from vgmpi.parallel.load_balance import SHARES, RankPace
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.plan import Plan
 from vgmpi.solver.engines.engine_protocol import Engine
+from vgmpi.solver.engines.nodal_field_storage import fields_near_colliders
 from vgmpi.solver.engines.shift_tables import shift_constants
+from vgmpi.solver.engines.surface_fields import is_summed_at_surfaces
 
 from .engine_registry import engine_of
 from .failure_message import failure_message
-from .topology_requirements import needs
 
 
 class BlowUp(RuntimeError):
@@ -71,7 +73,7 @@ class Simulation:
         start_features(context, self.features)
         self.engine.features = self.features
         self.gravity = np.array(plan.gravity)
-        self.needs = needs(plan)
+        self.needs = topology_requirements(plan)
         self.tables: exchange_topology.ExchangeTopology
         self.census: BlockDirectory
         self.cut: np.ndarray | None = None
@@ -349,3 +351,41 @@ class Simulation:
         bounds = ParticleBounds(float(rate), float(speed), float(turn), float(stress))
         of_features = dict(zip(asking, others[count:], strict=True))
         return StepMaxima(bounds, stray, bool(failed), np.array(others[:count]), of_features)
+
+
+def topology_requirements(plan: Plan) -> exchange_topology.TopologyRequirements:
+    """Return the requirements of the plan for the exchange tables."""
+    phase_of, color_counts = (np.array(rows, np.int64) for rows in zip(
+        *((group.phase, group.coefficients) for group in plan.groups), strict=True
+    ))  # fmt: skip
+    surface = np.array([phase.surface for phase in plan.phases])
+    return exchange_topology.TopologyRequirements(
+        phase_of,
+        plan.contact,
+        _separate_stress(plan),
+        color_counts,
+        surface,
+        plan.planes,
+        plan.has_surface_friction,
+        np.array([phase.fills_by_volume for phase in plan.phases]),
+        fields_near_colliders(plan),
+        is_summed_at_surfaces(plan),
+        plan.implicit_pressure,
+        np.array(() if plan.slip_of_solids is None else plan.slip_of_solids.phases, bool),
+    )
+
+
+def _separate_stress(plan: Plan) -> bool | exchange_topology.MixtureProximity:
+    """Return where stress impulses are summed separately: with FLIP and in mixtures."""
+    rules = plan.rules
+    if rules is None:
+        return plan.keeps is not None
+    same_mixture = rules.mixture_set[:, None] == rules.mixture_set[None, :]
+    shares_space = (
+        same_mixture & (rules.mixture_set >= 0)[:, None] & ~np.eye(len(same_mixture), dtype=bool)
+    )
+    needs_contact = (rules.pair == CONTACT) & ~np.eye(len(same_mixture), dtype=bool)
+    needs_contact |= (rules.pair == MIXING) & rules.drifting[:, None]
+    return exchange_topology.MixtureProximity(
+        shares_space, needs_contact, rules.fluid, plan.keeps is not None
+    )

@@ -23,6 +23,7 @@ from vgmpi.kernels.rigid.contact_sweeps import solve_contacts
 from vgmpi.kernels.rigid.jointed_bodies import jointed_bodies
 from vgmpi.kernels.rigid.surface_points import surface_points
 from vgmpi.kernels.step_records import StepSpan
+from vgmpi.parallel.block_ownership import BlockDirectory
 from vgmpi.parallel.exchange_topology import NEAR_BODIES, ExchangeTopology, counting_owner
 
 MAX_ROUNDS = 6  # of sums over the ranks in a step
@@ -52,7 +53,6 @@ class RigidBodies(ActiveFeature):
         self.friction = rows[np.minimum(self.bodies.rows, len(rows) - 1)]
         self.slip = self._slip_law()
         self.contacts = body_nodes.no_contacts(1024, len(self.slip.length) > 0)
-        self.tables: ExchangeTopology | None = None
         self.near, self.counts = np.zeros(0, np.int64), np.zeros((0, 64), np.uint8)
         self.points = body_contact.contact_points(POINTS_PER_BODY * count)
         self.points_before, self.touching = body_contact.contact_points(0), 0
@@ -80,6 +80,16 @@ class RigidBodies(ActiveFeature):
         self._couple(nodes, dt)
         self._collide(nodes, dt)
         bodies.move(dt)
+
+    def set_topology(self, tables: ExchangeTopology, census: BlockDirectory) -> None:
+        """Find the blocks near bodies, and the nodes that this rank counts.
+
+        Args:
+            tables: Topology of this rank.
+            census: Segments of this rank and nearby ones.
+        """
+        self.near = np.flatnonzero(tables.solid >= 0)
+        self.counts = counting_owner(tables, self.ranks.rank)
 
     def failure(self) -> str:
         """Return the name of the first body whose center has left the domain, or an empty text."""
@@ -159,10 +169,6 @@ class RigidBodies(ActiveFeature):
     def _find_contacts(self, nodes: NodeState, dt: float) -> int:
         """Find the nodes of this rank that touch bodies; return their number."""
         bodies = self.bodies
-        if self.tables is not nodes.tables:
-            self.tables = nodes.tables
-            self.near = np.flatnonzero(self.tables.solid >= 0)
-            self.counts = counting_owner(self.tables, self.ranks.rank)
         fields = tuple(nodes.fields[name].tables for name in NEAR_BODIES)
         marks = reserved_nodes(self.features)
         coupled = body_nodes.CoupledBodies(self.number_of, bodies.x, self.friction, self.slip)

@@ -13,14 +13,12 @@ from vgmpi.kernels.grid.sided_phases import sided_phases
 from vgmpi.kernels.kernel_arguments import NodeBlocks, Step, Sums
 from vgmpi.kernels.nodal_fields import color
 from vgmpi.kernels.reaction_impulses import GhostNodes
-from vgmpi.kernels.rigid.moving_colliders import MovingColliders
 from vgmpi.kernels.rigid.prescribed_motion import (
     NO_PRESCRIBED_BODIES,
     ROTATED_CHANNELS,
     PrescribedBodies,
 )
 from vgmpi.kernels.rigid.prescribed_transfer import advect_prescribed
-from vgmpi.kernels.rigid.static_colliders import StaticColliders
 from vgmpi.kernels.step_records import (
     FAILED_ID,
     FAILURE,
@@ -43,7 +41,7 @@ from vgmpi.planning.plan import Plan
 from vgmpi.runtime.aligned_arrays import aligned_zeros, with_capacity
 
 from . import surface_fields
-from .engine_protocol import DITHER
+from .engine_protocol import DITHER, CollidersAtNodes
 from .group_context import (
     GroupContext,
     auxiliary_gather_kind,
@@ -69,7 +67,7 @@ class Cpu(KernelCaller):
     GROUP, LAYER = ParticleGroup, NodalField  # array classes, replaced by other engines
 
     def __init__(
-        self, plan: Plan, lattice: BlockLattice, solids: StaticColliders | MovingColliders | None,
+        self, plan: Plan, lattice: BlockLattice, solids: CollidersAtNodes | None,
         threads: int = 1,
         driven: PrescribedBodies | None = None,
     ):  # fmt: skip

@@ -37,6 +37,9 @@ from vgmpi.planning.plan import Plan
 DITHER = (0.8191725133961645, 0.6710436067037893, 0.5497004779019703)
 
 
+CollidersAtNodes = StaticColliders | MovingColliders
+
+
 class Engine(EngineServices, Protocol):
     """Particles and nodes of one rank."""
 
@@ -45,7 +48,7 @@ class Engine(EngineServices, Protocol):
     features: Mapping[str, ActiveFeature]  # of the run, set by the simulation
 
     def __init__(
-        self, plan: Plan, lattice: BlockLattice, solids: StaticColliders | MovingColliders | None,
+        self, plan: Plan, lattice: BlockLattice, solids: CollidersAtNodes | None,
         threads: int,
         driven: PrescribedBodies | None = None,
     ): ...  # fmt: skip

@@ -14,14 +14,13 @@ from vgmpi.kernels.kernel_arguments import (
     Step,
 )
 from vgmpi.kernels.rigid.prescribed_motion import ROTATED_CHANNELS
-from vgmpi.kernels.step_records import AccumulatorOverflow, StepReport
 from vgmpi.kernels.transfer import g2p
 from vgmpi.kernels.transfer.particle_shifting import NodeFill, ShiftConstants
 from vgmpi.parallel.block_lattice import BITS
 from vgmpi.parallel.exchange_topology import ExchangeTopology, color_field_name
 from vgmpi.parallel.halo_exchange import FieldMessage
 from vgmpi.solver.engines.cpu import Cpu
-from vgmpi.solver.engines.engine_protocol import DITHER
+from vgmpi.solver.engines.engine_protocol import DITHER, AccumulatorOverflow, StepReport
 from vgmpi.solver.engines.group_context import GroupContext, auxiliary_gather_kind
 
 from . import gather_kernels, grid_kernels, scatter_kernels, thread_block, translation_types

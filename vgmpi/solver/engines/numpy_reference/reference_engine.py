@@ -26,13 +26,19 @@ from vgmpi.parallel.exchange_topology import ExchangeTopology
 from vgmpi.parallel.halo_exchange import FieldMessage
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.plan import Plan
+from vgmpi.solver.engines.engine_protocol import CollidersAtNodes
+from vgmpi.solver.engines.numpy_reference.liquid_volume import (
+    cell_divergence,
+    density_corrected_gradient,
+    sum_cell_pressure,
+    with_divergence,
+    without_spray_divergence,
+)
 
 from .advection import advect
-from .cell_dilatation import cell_divergence, sum_cell_pressure, with_divergence
 from .collider_hold import ColliderHold
 from .contact import Contact
 from .dense_grid import Dense, Stencil, stencil_of
-from .density_correction import density_corrected_gradient
 from .group_channels import (
     get_channel,
     kirchhoff_stress,
@@ -48,7 +54,6 @@ from .prescribed_motion import carry, prescribe
 from .reaction_impulses import ReactionSums, WallRecorder
 from .resolved_surfaces import resolved_surface
 from .sided_walls import ThinWalls
-from .spray_divergence import without_spray_divergence
 from .surface_nodes import SurfaceNodes
 from .yielding_walls import sums_of
 
@@ -59,7 +64,7 @@ class Numpy(SurfaceNodes):
     words = 1
 
     def __init__(
-        self, plan: Plan, lattice: BlockLattice, solids: StaticColliders | MovingColliders | None,
+        self, plan: Plan, lattice: BlockLattice, solids: CollidersAtNodes | None,
         threads: int = 1,
         driven: PrescribedBodies | None = None,
     ):  # fmt: skip
