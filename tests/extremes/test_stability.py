@@ -21,7 +21,7 @@ from tests.support.small_scenes import MIXES_WITH_MILK, SEEPS_THROUGH_GRAINS, WE
 from vgmpi.kernels.transfer import liquid_volume
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.scene.scene import DEFAULT_CFL
-from vgmpi.solver.engines.numpy_reference import spray_divergence as reference_spray
+from vgmpi.solver.engines.numpy_reference import liquid_volume as reference_volume
 from vgmpi.solver.simulation import BlowUp, Simulation
 
 MARGIN, RESTORED = 1.8, 1.5
@@ -114,7 +114,7 @@ def test_a_lone_drop_is_stable_up_to_the_bound_of_its_response(
     tmp_path, monkeypatch, response, factor, stable
 ):
     assert liquid_volume.LEAST_RESPONSE == 0.3
-    monkeypatch.setattr(reference_spray, "LEAST_RESPONSE", response)
+    monkeypatch.setattr(reference_volume, "LEAST_RESPONSE", response)
     growth = expansion_of_a_lone_drop(tmp_path, factor, "numpy")
     assert (growth < 10.0) == stable
     if response == liquid_volume.LEAST_RESPONSE:

@@ -62,7 +62,7 @@ def test_a_jet_falls_on_a_parabola(jet):
         advance(jet, time)
         ids, x = by_id(jet, "id", "x")
         behind = x[:, 0] <= MOUTH[0]
-        ((came, _, went, _),) = jet.flow_accounting.totals(jet.ranks)
+        ((came, _, went, _),) = jet.features["flow_accounting"].totals()
         assert (~behind).sum() + went == passed(jet)
         assert came == inlet.spawned(time) and len(ids) == came - went
         # what is carried lies on its lattice to rounding, and what is let go behind the mouth near
@@ -111,6 +111,6 @@ def test_a_jet_is_dense_from_its_first_cell(jet):
 
 def test_mass_is_kept(jet):
     before = totals(jet)["mass"]
-    ((_, brought, _, taken),) = jet.flow_accounting.totals(jet.ranks)
-    there = jet.flow_accounting.mass(0, brought) - jet.flow_accounting.mass(0, taken)
-    assert abs(before - there) < 1e-14 * jet.flow_accounting.mass(0, brought)
+    ((_, brought, _, taken),) = jet.features["flow_accounting"].totals()
+    mass = jet.features["flow_accounting"].mass
+    assert abs(before - mass(0, brought) + mass(0, taken)) < 1e-14 * mass(0, brought)

@@ -49,7 +49,7 @@ collider = "beam"
 
 def pinned_ids(made) -> np.ndarray:
     """Ids of the particles of the first pinned part."""
-    runs = np.concatenate([share.runs for share in made.features["pinned_parts"][0].shares])
+    runs = np.concatenate([own.runs for own in made.features["pinned_parts"][0].by_material])
     return np.concatenate([np.arange(a, b + 1) for a, b in runs])
 
 

@@ -273,11 +273,12 @@ def test_engines_agree(tmp_path, name):
     touching = slow.engine.contact_count
     print(f"{name}: {most:.1e}, {touching} nodes in contact")
     if slow.plan.sources:
-        came, went = np.array(slow.flow_accounting.totals(slow.ranks))[:, [0, 2]].T
+        came, went = np.array(slow.features["flow_accounting"].totals())[:, [0, 2]].T
         assert (
             went.max() > 0 and came.sum() > slow.plan.initial_particle_count + 4 * 4
         )  # those at the start
-        assert all(one.flow_accounting.part == slow.flow_accounting.part for one in every.values())
+        part = slow.features["flow_accounting"].part
+        assert all(one.features["flow_accounting"].part == part for one in every.values())
     assert touching > 10 or not ("contact" in name or name in ("collider", "flip", "everything"))
 
 

@@ -147,12 +147,12 @@ def simulations(folder, name):
 def apart(one, other):
     """Largest difference of bodies and reactions, relative to their largest values."""
     found = {}
-    if one.bodies is not None:
+    if "rigid_bodies" in one.features:
         for name in ("x", "q", "momentum", "spin"):
-            a, b = (getattr(each.bodies.bodies, name) for each in (one, other))
+            a, b = (getattr(each.features["rigid_bodies"].bodies, name) for each in (one, other))
             found[f"bodies' {name}"] = np.abs(a - b).max() / np.abs(b).max()
-    if one.reactions is not None:
-        a, b = (each.reactions.totals for each in (one, other))
+    if "reactions" in one.features:
+        a, b = (each.features["reactions"].totals for each in (one, other))
         scale = np.maximum(np.abs(b).max(0), 1e-30)
         found["reactions"] = QUANTA * (np.abs(a - b).max(0) / scale).max()
     return found

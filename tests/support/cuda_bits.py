@@ -61,8 +61,9 @@ def differences(one, other) -> list[str]:
         name for name in ("rate", "particle_maxima") if getattr(one, name) != getattr(other, name)
     ]
     if (
-        one.reactions is not None
-        and one.reactions.totals.tobytes() != other.reactions.totals.tobytes()
+        "reactions" in one.features
+        and one.features["reactions"].totals.tobytes()
+        != other.features["reactions"].totals.tobytes()
     ):
         found.append("what rigid things gave")
     for a, b in zip(one.groups, other.groups, strict=True):
@@ -142,7 +143,7 @@ BREAKS = {
     "order": lambda: setattr(device_sort, "order", _no_order),  # of a cell's particles
     "list": lambda: setattr(Cuda, "_laid_out", _shuffled),  # a segment is left out
     "lane": lambda: grid_kernels.NODES.stands_in.update(
-        {grid_kernels.node_row_ops.velocity: _from_its_neighbour}
+        {grid_kernels.row_ops.velocity: _from_its_neighbour}
     ),
     # and what must not matter: sums take segments in any order
     "reversed": lambda: setattr(Cuda, "_laid_out", _reversed),

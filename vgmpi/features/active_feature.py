@@ -48,7 +48,7 @@ class StartContext(NamedTuple):
 
 
 class EngineServices(Protocol):
-    """What features may ask of an engine; all else they do to nodes and particles."""
+    """Requests of features to an engine; all else they do to nodes and particles themselves."""
 
     def open(self, wall: int) -> None:
         """Remove a wall (0 to 5: west, east, south, north, floor, roof) that has vanished."""
@@ -179,7 +179,13 @@ class ActiveFeature:
         return 0.0
 
     def couple_nodes(self, nodes: NodeState, span: StepSpan, gravity: np.ndarray) -> None:
-        """Change the velocities of nodes after all that acts at each node alone."""
+        """Change the velocities of nodes after all that acts at each node alone.
+
+        Args:
+            nodes: Nodes of the rank.
+            span: The step.
+            gravity: Acceleration, shape (3,) [m/s2].
+        """
 
     def end_coupling(self, span: StepSpan) -> None:
         """Compute what follows from the velocities that all couplings have left."""

@@ -110,7 +110,7 @@ class Numpy(SurfaceNodes):
     def take_reactions(self) -> np.ndarray:
         """Return the reactions summed since the last call, shape (rows, 7) int64."""
         assert self.sums is not None
-        return self.sums.take() + self.take_reactions()
+        return self.sums.take() + self.take_surface_reactions()
 
     def record(self, p: int, share: float, mass: np.ndarray | None = None) -> WallRecorder | None:
         """Return the recorder of wall reactions on a phase, None where not requested."""

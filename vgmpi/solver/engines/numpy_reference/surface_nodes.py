@@ -145,6 +145,6 @@ class SurfaceNodes(KernelCaller):
         out[self.index] = marks[self.inside] != 0
         return out
 
-    def take_reactions(self) -> np.ndarray | int:
+    def take_surface_reactions(self) -> np.ndarray | int:
         """Return the reactions summed since the last call, shape (rows, 7) int64."""
         return 0 if self.reactions is None else self.reactions.take()
