@@ -32,8 +32,8 @@ class Costs(event.Listener):
 
 costs = Costs()
 event.register("numba:compile", costs)
-from vgmpi.tools import commands
-code = commands.main(sys.argv[2:])
+from vgmpi.commands import command_table
+code = command_table.main(sys.argv[2:])
 json.dump(costs.rows, open(sys.argv[1], "w"))
 sys.exit(code)
 """

@@ -32,14 +32,14 @@ with signals_heard():
 # a run that gets SIGUSR1 while its module is loaded
 EARLY = """
 import importlib, os, signal, sys
-from vgmpi.tools import commands
+from vgmpi.commands import command_table
 load = importlib.import_module
 def load_late(name, package=None):
     if name == "vgmpi.commands.start":
         os.kill(os.getpid(), signal.SIGUSR1)
     return load(name, package)
 importlib.import_module = load_late
-sys.exit(commands.main(sys.argv[1:]))
+sys.exit(command_table.main(sys.argv[1:]))
 """
 
 
