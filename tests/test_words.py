@@ -65,7 +65,7 @@ def places():
 
 
 def test_modules_are_not_private_words_and_have_names_of_their_own():
-    # files of features have the same names, which say their parts: table, plan, coupling, kernels
+    # files of features have the same names, which say their parts: feature, plan, coupling
     files = [file for file in FILES if "__" not in file and "vgmpi/features/" not in file]
     stems = [Path(file).stem for file in files]
     assert not PRIVATE & set(stems)

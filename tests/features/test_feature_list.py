@@ -1,5 +1,7 @@
 """Every feature of the lists can be imported, and no list names one twice."""
 
+import subprocess
+import sys
 from importlib import import_module
 from pathlib import Path
 
@@ -31,3 +33,14 @@ def test_a_feature_of_a_run_has_a_function_that_starts_it(name):
 def test_every_folder_is_in_a_list():
     folders = {path.name for path in ROOM.iterdir() if (path / "__init__.py").exists()}
     assert folders == {*FEATURES, *(module.split(".")[0] for module, _ in STARTS.values())}
+
+
+def test_reading_a_scene_compiles_and_plans_nothing():
+    """The keys of features are read without what acts in a run."""
+    code = (
+        "import sys; from vgmpi.scene.loader import load; load('runs/rubber_sheet/scene.toml');"
+        "print([m for m in sys.modules if m == 'numba' or m.startswith('vgmpi.planning')])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOM.parents[1], capture_output=True,
+                          text=True)  # fmt: skip
+    assert done.stdout.strip() == "[]", done.stderr

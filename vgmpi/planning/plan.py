@@ -14,7 +14,6 @@ import numpy as np
 
 from vgmpi.materials.couplings.interaction import MIXING, InteractionRules
 from vgmpi.materials.material import law_function
-from vgmpi.planning.phases_and_groups import idle_phase, with_soft_bodies
 from vgmpi.scene.gravity import Keys, gravity_at, gravity_keys, mean_gravity
 from vgmpi.scene.joints import Joint
 from vgmpi.scene.loads import mean_ramp_factor
@@ -32,8 +31,10 @@ from .phases_and_groups import (
     GroupPlan,
     PhasePlan,
     groups_of,
+    idle_phase,
     phases_of,
     with_runtime_requirements,
+    with_soft_bodies,
     with_volume_correction,
 )
 from .prescribed_bodies import Extents, PrescribedBodyPlan, prescribed_body_plans, prescribed_phases

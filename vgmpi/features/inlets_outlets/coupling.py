@@ -16,7 +16,6 @@ from vgmpi.features.active_feature import ActiveFeature, StartContext
 from vgmpi.features.particle_insertion import (
     ParticleRows,
     bounds_of,
-    bounds_of_idle_group,
     remove_particles,
 )
 from vgmpi.gaussians.shape_distance import distance
@@ -27,6 +26,8 @@ from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.inlet_schedule import InletPlan, OutletPlan
 from vgmpi.preprocess.shape_sdf import blend_overhang, support
 
+INTERVAL = 4  # [steps] between removals, by step number, so that a restart does not shift them
+STRAY_CELLS = 4.0  # [cells] greatest distance of a particle from its block's center between sorts
 STATIC_CHANNELS = ("vol0", "color", "surface")  # channels that a nozzle particle keeps
 
 
@@ -78,8 +79,7 @@ class Inlets(ActiveFeature):
         return self._merge_bounds(bounds, 0.0)
 
     def adjust_bounds(self, span: StepSpan, bounds: ParticleBounds) -> ParticleBounds:
-        """Return the bounds of the particles, or of an idle group, and of active inlets."""
-        bounds = bounds if bounds.rate else bounds_of_idle_group(self.plan)
+        """Return the bounds of the particles and of active inlets."""
         return self._merge_bounds(bounds, span.end)
 
     def _merge_bounds(self, bounds: ParticleBounds, time: float) -> ParticleBounds:
@@ -197,10 +197,6 @@ def start_inlets(context: StartContext) -> Inlets | None:
     return Inlets(context) if context.plan.sources else None
 
 
-INTERVAL = 4  # [steps] counted by step number, so that a restart does not shift the removals
-STRAY_CELLS = 4.0  # [cells] greatest distance of a particle from its block's center between sorts
-
-
 class _Region:
     """Outlet with its bounding box."""
 
@@ -235,10 +231,6 @@ class Outlets(ActiveFeature):
             if any(removed):  # others on this rank have new indices
                 self.move_particles()
         return report
-
-    def adjust_bounds(self, span: StepSpan, bounds: ParticleBounds) -> ParticleBounds:
-        """Return the bounds of the next step; those of an idle group if no particle is left."""
-        return bounds if bounds.rate else bounds_of_idle_group(self.plan)
 
     def _remove_from(self, group: ParticleGroup, g: int, time: float) -> bool:
         """Remove a group's particles inside outlets; return whether there were any."""

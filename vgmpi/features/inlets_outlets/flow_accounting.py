@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from vgmpi.features.active_feature import ActiveFeature, StartContext
-from vgmpi.features.particle_insertion import ParticleRows
+from vgmpi.features.particle_insertion import ParticleRows, bounds_of_idle_group
 from vgmpi.io.checkpoint import Checkpoint, Mismatch, is_count
+from vgmpi.kernels.step_records import ParticleBounds, StepSpan
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.planning.region_groups import groups_of_particles
 
@@ -74,6 +75,10 @@ class FlowAccounting(ActiveFeature):
             volume = group.get("vol0", group.index())[:, 0]
             mine.append([len(volume), self._counted(volume)])
         return allreduce_bigint(mine, self.ranks)
+
+    def adjust_bounds(self, span: StepSpan, bounds: ParticleBounds) -> ParticleBounds:
+        """Return the bounds of the next step; those of an idle group while there is no particle."""
+        return bounds if bounds.rate else bounds_of_idle_group(self.plan)
 
     def totals(self) -> list[list[int]]:
         """Return the totals of all ranks together, on every rank. Collective."""

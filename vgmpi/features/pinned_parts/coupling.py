@@ -29,7 +29,7 @@ from vgmpi.parallel.exchange_topology import GRADIENTS, ExchangeTopology
 from vgmpi.planning.prescribed_bodies import TIME_TOLERANCE
 from vgmpi.runtime.jit import device_function, kernel
 
-from .feature import CARRIER, PinnedPartsPlan
+from .plan import CARRIER, PinnedPartsPlan
 
 
 class PinnedTable(NamedTuple):

@@ -4,26 +4,130 @@ Their particles have groups of their own, are not on the grid, and move with wha
 of the body next to a part take its velocity (coupling.py). See docs/explanation/rigid-bodies.md.
 """
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import BeforeValidator
 
-from vgmpi.parallel.exchange_topology import GRADIENTS
-from vgmpi.planning.feature_plan import BodyPart, FeaturePlan
-from vgmpi.planning.phases_and_groups import GroupPlan
-from vgmpi.planning.plan import Plan
-from vgmpi.planning.prescribed_bodies import PrescribedBodyPlan, ReleaseLayer
-from vgmpi.runtime.config.toml_source import escape_control_characters
+from vgmpi.runtime.config.schema import Quantity, StrictModel, as_list
+from vgmpi.runtime.message_text import did_you_mean
+from vgmpi.scene.rigid_motion import Motion, validate_motion
 from vgmpi.scene.scene_feature import Errors, InitialParticles, SceneFeature
+from vgmpi.scene.shapes import Shape, validate_shape
 
-from .table import WORLD, ObjectKeys, PinnedPart, validate_pinned, validate_pinned_parts
+WORLD = "world"
+# keys of bodies that cannot have pinned parts: nothing of them moves freely for a time
+EXCLUDED_KEYS = ("rigid", "motion", "release_time", "volume_fraction", "volume_fraction_profile")
 
-# [-] cost of a pinned particle relative to a fluid's, python -m tests.benchmarks bodies --pins
-PINNED_COST = 0.1  # at rest
-MOVING_PINNED_COST = 1.35  # carried by what moves
-MAX_LINES = 8  # parts that have a line of the report each; more have one together
-CARRIER = "pinned"  # of the groups of parts, see `GroupPlan.carrier`
+
+class PinnedPart(Shape):
+    """Pinned part of a solid body: exactly one of the keys of `shape` that make a solid, `box` for
+    example, in coordinates of the domain at the start, and these. It may hold particles of several
+    regions.
+    """
+
+    to: str = WORLD
+    """what holds it: "world", the name of scenery with collider = true, moving or at rest, or that
+    of a body with rigid = true"""
+    motion: Motion | None = None
+    """for to = "world": prescribed motion of the part. Default: it is at rest"""
+    release_time: Annotated[float, Quantity("s", gt=0)] | None = None
+    """for to = "world": time at which the part lets go. It deforms from then on, and begins with
+    the velocity of its motion. Default: never"""
+
+
+class ObjectKeys(StrictModel):
+    """Keys that pinned parts add to [[object]]."""
+
+    pinned: Annotated[tuple[PinnedPart, ...], BeforeValidator(as_list)] = ()
+    """bodies of solids only: a part that something holds, { box, to } for example, or a list of
+    them. The part does not deform and moves with what holds it; the rest is attached to it"""
+
+
+def validate_pinned(raw: dict, scenery: bool) -> Errors:
+    """Return (path, message) for errors of the pinned parts of an object as read.
+
+    Args:
+        raw: Table of the object.
+        scenery: Whether it is scenery.
+    """
+    if "pinned" not in raw:
+        return []
+    if scenery:
+        return [(("pinned",), "is not for scenery: it has no mass and does not move")]
+    errors: Errors = []
+    for key in EXCLUDED_KEYS:
+        if raw.get(key) not in (None, False):
+            errors.append((("pinned",), f"{key} and pinned given at once: give one"))
+    tables = raw["pinned"]
+    single = isinstance(tables, dict)
+    for k, table in enumerate([tables] if single else tables if isinstance(tables, list) else []):
+        if not isinstance(table, dict):
+            continue
+        path: tuple = ("pinned",) if single else ("pinned", k)
+        errors += validate_shape({key: table[key] for key in table if key != "to"}, path)
+        errors += validate_motion(table.get("motion"), (*path, "motion"))
+        if "color" in table:
+            errors.append(((*path, "color"), "is not for pinned parts"))
+        if table.get("to", WORLD) == WORLD:
+            continue
+        reasons = {"motion": "the part moves with what holds it", "release_time": "it lets go"}
+        for key, reason in reasons.items():
+            if key in table:
+                errors.append(((*path, key), f'is only for to = "{WORLD}": {reason}'))
+    if isinstance(tables, list) and not tables:
+        errors.append((("pinned",), "has no part"))
+    return errors
+
+
+def validate_pinned_parts(objects: list, materials: dict, accuracy: Any) -> Errors:
+    """Return (path, message) for what a scene with pinned parts cannot have.
+
+    Args:
+        objects: Objects of the scene.
+        materials: Materials by their names, None in place of invalid ones.
+        accuracy: Table `accuracy`, or None.
+    """
+    errors: Errors = []
+    by_name = {obj.name: obj for obj in objects}
+    for k, obj in enumerate(objects):
+        if not obj.pinned:
+            continue
+        key = "object", k, "pinned"
+        material = materials.get(obj.material)
+        if material is not None and material.family != "solid":
+            message = f"is only for solids; the material is of kind {material.kind!r}"
+            errors.append((key, message))
+        elif accuracy is not None and accuracy.keeps:
+            errors.append((key, f'is not for accuracy.transfer = "{accuracy.transfer}"'))
+        for number, part in enumerate(obj.pinned):
+            if message := _validate_holder(part.to, obj.name, by_name):
+                errors.append(((*key, number, "to"), message))
+    return errors
+
+
+def _validate_holder(name: str, own: str, objects: dict) -> str:
+    """Return why an object cannot hold a part of another one, or an empty text.
+
+    Args:
+        name: Name of what holds the part.
+        own: Name of the object that has the part.
+        objects: Objects of the scene by name.
+    """
+    if name == WORLD:
+        return ""
+    if name == own:
+        return f"'{name}' cannot hold itself"
+    holder = objects.get(name)
+    if holder is None:
+        hint = f"{did_you_mean(name, [*objects, WORLD])}; known: {', '.join([WORLD, *objects])}"
+        return f"there is no object '{name}'{hint}"
+    if not holder.rigid and not holder.collider:
+        return (
+            f"'{name}' holds nothing: scenery with collider = true does, and a body with rigid ="
+            " true"
+        )
+    return ""
 
 
 class PinnedParts(SceneFeature):
@@ -93,152 +197,9 @@ class PinnedParts(SceneFeature):
         Args:
             groups, group_of, prepared: See `SceneFeature.plan`.
         """
+        from .plan import plan_pinned_parts
+
         return plan_pinned_parts(groups, group_of, prepared)
-
-
-class PinnedPartPlan(NamedTuple):
-    """Pinned part of a body."""
-
-    object: int  # row of the body
-    groups: tuple[int, ...]  # of its particles, one for each of `region.by_material`
-    groups_after_release: tuple[int, ...]  # groups of these particles after the release
-    phase: int  # of the body
-    region: Any  # a `regions.PinnedRegion`
-
-
-class PinnedPartsPlan(FeaturePlan):
-    """Pinned parts of a run."""
-
-    name = "pinned_parts"
-    nodal_fields = frozenset(GRADIENTS)
-
-    def __init__(self, parts: tuple[PinnedPartPlan, ...]):
-        """Take the plans of all parts."""
-        self.pinned = parts
-        self.phases = frozenset(part.phase for part in parts)
-        self.uncounted_groups = frozenset(
-            group for part in parts if part.region.is_free for group in part.groups
-        )
-
-    def parts(self) -> list[BodyPart]:
-        """Return the parts with their groups, by material."""
-        return [
-            BodyPart(part.object, own.particles, group)
-            for part in self.pinned
-            for group, own in zip(part.groups, part.region.by_material, strict=True)
-        ]
-
-    def assign_groups(self, ids: np.ndarray, groups: np.ndarray) -> None:
-        """Set the groups of the particles that are held at the start.
-
-        Args:
-            ids: Particle ids, shape (n,).
-            groups: Their groups (in/out), shape (n,).
-        """
-        for part in self.pinned:
-            for group, own in zip(part.groups, part.region.by_material, strict=True):
-                run = np.searchsorted(own.runs[:, 0], ids, side="right") - 1
-                groups[(run >= 0) & (ids <= own.runs[run, 1])] = group
-
-    def released_parts(self) -> list[PrescribedBodyPlan]:
-        """Return the parts that let go at a time, by groups, as bodies that are released."""
-        return [
-            PrescribedBodyPlan(
-                (part.object,), group, released, part.region.course, (0.0,) * 3, 0.0,
-                (ReleaseLayer(part.region.release_time, -np.inf, np.inf),),
-            )
-            for part in self.pinned
-            if part.region.release_time < np.inf
-            for group, released in zip(part.groups, part.groups_after_release, strict=True)
-        ]  # fmt: skip
-
-    def reaction_bodies(self) -> list[tuple[int, tuple[float, ...]]]:
-        """Return the bodies that the world holds, with the center of mass of their first parts."""
-        centers: dict[int, tuple[float, ...]] = {}
-        for part in self.pinned:
-            if part.region.holder < 0:
-                centers.setdefault(part.object, tuple(part.region.masses.center))
-        return list(centers.items())
-
-    def reaction_rows(self, first_row: int) -> list[int]:
-        """Return the row of the reactions of each part, -1 for those that free bodies hold.
-
-        Parts that a collider holds add to its row. Those of a body that the world holds own one.
-
-        Args:
-            first_row: Row of the first body that the world holds.
-        """
-        bodies = [k for k, _ in self.reaction_bodies()]
-        rows = []
-        for part in self.pinned:
-            if part.region.holder < 0:
-                rows.append(first_row + bodies.index(part.object))
-            else:
-                rows.append(-1 if part.region.is_free else part.region.holder)
-        return rows
-
-    def report_lines(self, plan: Plan) -> list[str]:
-        """Return the lines of --plan on the parts."""
-        regions = [part.region for part in self.pinned]
-        lines = [
-            f"  pinned      {escape_control_characters(region.name)}: {region.count:,} of"
-            f" {plan.count[region.object]:,} particles, {region.masses.mass:.4g} kg, to"
-            f" {_holder(region)}"
-            for region in regions[:MAX_LINES]
-        ]
-        if len(regions) > MAX_LINES:
-            more = regions[MAX_LINES:]
-            count = sum(region.count for region in more)
-            lines.append(f"  pinned      {len(more):,} more parts: {count:,} particles")
-        return lines
-
-    def start(self, context: Any) -> Any:
-        """Return the parts as they act in a run.
-
-        Args:
-            context: See `FeaturePlan.start`.
-        """
-        from .coupling import PinnedCoupling  # it compiles
-
-        return PinnedCoupling(self, context)
-
-
-def plan_pinned_parts(
-    groups: tuple[GroupPlan, ...], group_of: tuple[int, ...], regions: Sequence
-) -> tuple[PinnedPartsPlan, tuple[GroupPlan, ...]]:
-    """Plan the pinned parts and their groups.
-
-    Args:
-        groups: Groups as if nothing were pinned.
-        group_of: Group of each object and inlet, likewise.
-        regions: Pinned parts with their particles.
-
-    Returns:
-        Their plan, and the groups with those of the parts behind them.
-    """
-    plans, all_groups = [], list(groups)
-    for region in regions:
-        phase = groups[group_of[region.object]].phase
-        numbers = tuple(range(len(all_groups), len(all_groups) + len(region.by_material)))
-        pairs = [(group.phase, group.material) for group in groups]
-        group_after_release = tuple(
-            pairs.index((phase, own.material)) for own in region.by_material
-        )
-        plans.append(PinnedPartPlan(region.object, numbers, group_after_release, phase, region))
-        is_moving = region.is_free or region.course is not None
-        cost = MOVING_PINNED_COST if is_moving else PINNED_COST
-        for free in (groups[number] for number in group_after_release):
-            name = f"{region.name} (pinned to {region.to})/{free.material}"
-            all_groups.append(free._replace(name=name, carrier=CARRIER, cost=cost))
-    return PinnedPartsPlan(tuple(plans)), tuple(all_groups)
-
-
-def _holder(region: Any) -> str:
-    """Return what holds a pinned part."""
-    if region.is_free:
-        return f"{escape_control_characters(region.to)}, which carries this mass"
-    name = "the world" if region.holder < 0 else escape_control_characters(region.to)
-    return name if region.course is None else f"{name}, which moves"
 
 
 FEATURE = PinnedParts()

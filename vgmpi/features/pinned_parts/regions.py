@@ -16,7 +16,7 @@ from vgmpi.scene.rigid_motion import Trajectory
 from vgmpi.scene.scene import Scene
 from vgmpi.scene.scene_feature import InitialParticles
 
-from .table import WORLD, PinnedPart
+from .feature import WORLD, PinnedPart
 
 log = logging.getLogger("vgmpi")
 SURROUNDINGS_CELLS = 3  # [cells] around its particles within which a part has a surface
