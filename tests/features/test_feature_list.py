@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 import vgmpi.features
-from vgmpi.features.start_features import AFTER_FEATURES_OF_PLAN, BEFORE_FEATURES_OF_PLAN
+from vgmpi.features import start_features
 from vgmpi.scene.scene_feature import FEATURES, SceneFeature, features
 
 ROOM = Path(vgmpi.features.__file__).parent
-STARTS = BEFORE_FEATURES_OF_PLAN | AFTER_FEATURES_OF_PLAN
+STARTS = {name: place for name, place in start_features.STARTS.items() if place}
 
 
 def test_features_of_scenes_have_names_of_their_own():

@@ -4,16 +4,15 @@ from importlib import import_module
 
 from .active_feature import ActiveFeature, StartContext
 
-# name in Simulation.features -> module and function that starts it
-BEFORE_FEATURES_OF_PLAN = {
+# name in Simulation.features -> module and function that starts it; None: its plan does
+STARTS: dict[str, tuple[str, str] | None] = {
     "flow_accounting": ("inlets_outlets.flow_accounting", "start"),
     "loads": ("loads.coupling", "start"),
     "moving_colliders": ("moving_colliders.coupling", "start"),
     "implicit_pressure": ("implicit_pressure.coupling", "start"),
     "collider_slip": ("surface_slip.coupling", "start_collider_slip"),
     "solid_slip": ("surface_slip.coupling", "start_solid_slip"),
-}
-AFTER_FEATURES_OF_PLAN = {
+    "pinned_parts": None,
     "rigid_bodies": ("rigid_bodies.coupling", "start"),
     "prescribed_motion": ("prescribed_motion.coupling", "start"),
     "reactions": ("reactions.coupling", "start"),
@@ -25,22 +24,21 @@ AFTER_FEATURES_OF_PLAN = {
 
 
 def start_features(context: StartContext, features: dict[str, ActiveFeature]) -> None:
-    """Start the features of a plan on this rank.
+    """Start the features of a plan on this rank: those of STARTS, then the others by the plan.
 
     Args:
         context: What they may take.
         features: The features by name (out).
     """
-    _start(BEFORE_FEATURES_OF_PLAN, context, features)
+    plans = {plan.name: plan for plan in context.plan.features}
     row = context.first_reaction_row
-    for plan in context.plan.features:
-        features[plan.name] = plan.start(context._replace(first_reaction_row=row))
-        row += len(plan.reaction_bodies())
-    _start(AFTER_FEATURES_OF_PLAN, context, features)
-
-
-def _start(places: dict[str, tuple[str, str]], context: StartContext, features: dict) -> None:
-    for name, (module, function) in places.items():
-        start = getattr(import_module(f"vgmpi.features.{module}"), function)
-        if (feature := start(context)) is not None:
+    for name in (*STARTS, *(name for name in plans if name not in STARTS)):
+        feature = None
+        if place := STARTS.get(name):
+            module, function = place
+            feature = getattr(import_module(f"vgmpi.features.{module}"), function)(context)
+        elif name in plans:
+            feature = plans[name].start(context._replace(first_reaction_row=row))
+            row += len(plans[name].reaction_bodies())
+        if feature is not None:
             features[name] = feature

@@ -66,19 +66,28 @@ class FeaturePlan:
         raise NotImplementedError
 
 
-def feature_plans(
-    groups: tuple, group_of: tuple[int, ...], prepared: Mapping[str, Any]
-) -> tuple[tuple[FeaturePlan, ...], tuple]:
-    """Return the plans of all features that a scene has, and all groups.
+class PlanDraft(NamedTuple):
+    """What features plan from, and may change: phases and groups, with those of features last."""
+
+    scene: Any
+    phases: tuple  # of `PhasePlan`
+    groups: tuple  # of `GroupPlan`
+    group_of: tuple[int, ...]  # group of each object and inlet, -1 without particles
+    particle_counts: list[int]  # of each object and inlet
+
+
+def plan_features(
+    draft: PlanDraft, prepared: Mapping[str, Any]
+) -> tuple[tuple[FeaturePlan, ...], PlanDraft]:
+    """Return the plans of all features that a scene has, and the draft with their changes.
 
     Args:
-        groups: Groups without features.
-        group_of: Group of each object and inlet.
+        draft: Phases and groups without these features.
         prepared: Prepared data of features by name.
     """
     plans = []
     for feature in features():
-        if feature.name in prepared:
-            plan, groups = feature.plan(groups, group_of, prepared[feature.name])
+        plan, draft = feature.plan(draft, prepared.get(feature.name))
+        if plan is not None:
             plans.append(plan)
-    return tuple(plans), groups
+    return tuple(plans), draft

@@ -8,7 +8,7 @@ does not exist.
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from vgmpi.scene.sections import Accuracy
 from .back_sides import WallSidesPlan, with_back_sides
 from .color_exchange import ColorExchange, color_exchange
 from .correction_intervals import correction_interval, shift_interval
-from .feature_plan import FeaturePlan, feature_plans
+from .feature_plan import FeaturePlan, PlanDraft, plan_features
 from .implicit_pressure_rules import check_implicit_pressure, falling_rate, is_implicit
 from .inlet_schedule import InletPlan, OutletPlan, inlet_plans, outlet_plans
 from .interaction_rules import interaction_rules, with_slip_wave_factors
@@ -47,6 +47,7 @@ FLOAT_TYPES: dict[str, np.dtype] = {
     "single": np.dtype(np.float32),
     "double": np.dtype(np.float64),
 }
+PlannedFeature = TypeVar("PlannedFeature", bound=FeaturePlan)
 MAX_STEPS = 2.0**52  # with more steps, a step is lost to rounding when it is added to the time
 
 
@@ -127,6 +128,10 @@ class Plan:
     rigid: RigidBodiesSummary | None = None  # these bodies at the start, if known
     holding_walls: tuple[str, ...] = ()  # slip walls that also hold back the bodies on them
     regions: tuple[RegionPlan, ...] = ()  # parts of bodies of another material, if known
+
+    def feature(self, kind: type[PlannedFeature]) -> PlannedFeature | None:
+        """Return the plan of an optional feature, or None if the scene does not have it."""
+        return next((each for each in self.features if isinstance(each, kind)), None)
 
     @property
     def numbers_colliders(self) -> bool:
@@ -278,7 +283,8 @@ def make_plan(
     driven, groups, group_of = prescribed_body_plans(
         scene, complete, group_of, phases, extents or {}
     )
-    features, groups = feature_plans(groups, group_of, prepared or {})
+    draft = PlanDraft(scene, phases, groups, group_of, count)
+    features, (_, phases, groups, group_of, _) = plan_features(draft, prepared or {})
     phases = with_soft_bodies(scene, phases, groups, volume, center)
     groups, phases, sides = with_back_sides(scene, groups, phases)
     plan = Plan(

@@ -106,15 +106,14 @@ class SceneFeature:
         """Return the colliders as they are with the prepared data."""
         return colliders
 
-    def plan(self, groups: tuple, group_of: tuple[int, ...], prepared: Any) -> tuple[Any, tuple]:
-        """Return its `FeaturePlan`, and the groups with its own last.
+    def plan(self, draft: Any, prepared: Any) -> tuple[Any, Any]:
+        """Return its `FeaturePlan`, or None if the scene has none, and the draft with its changes.
 
         Args:
-            groups: Groups so far.
-            group_of: Group of each object and inlet.
+            draft: A planning/feature_plan.py `PlanDraft`; new groups and phases come last.
             prepared: Result of `prepare`.
         """
-        raise NotImplementedError
+        return None, draft
 
 
 @cache

@@ -191,15 +191,18 @@ class PinnedParts(SceneFeature):
 
         return with_pinned_masses(colliders, prepared)
 
-    def plan(self, groups: tuple, group_of: tuple[int, ...], prepared: Any) -> tuple[Any, tuple]:
-        """Return the plan of the parts, and the groups with theirs last.
+    def plan(self, draft: Any, prepared: Any) -> tuple[Any, Any]:
+        """Return the plan of the parts, and the draft with their groups last.
 
         Args:
-            groups, group_of, prepared: See `SceneFeature.plan`.
+            draft, prepared: See `SceneFeature.plan`.
         """
+        if prepared is None:
+            return None, draft
         from .plan import plan_pinned_parts
 
-        return plan_pinned_parts(groups, group_of, prepared)
+        plan, groups = plan_pinned_parts(draft.groups, draft.group_of, prepared)
+        return plan, draft._replace(groups=groups)
 
 
 FEATURE = PinnedParts()
