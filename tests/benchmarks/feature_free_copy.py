@@ -102,7 +102,6 @@ ANSWERS: dict[str, dict[str, str]] = {
         "_shear": KEPT,
     },
     "vgmpi.kernels.nodal_fields.body_fields": {},
-    "vgmpi.features.rigid_bodies.coupling": {"start": "return None"},
     "vgmpi.kernels.rigid.surface_slip": {},
     "vgmpi.kernels.rigid.solid_slip": {},
     "vgmpi.scene.scene_feature": {

@@ -7,6 +7,7 @@ import pytest
 
 import vgmpi
 from tests.support.simulate import advance, begin, by_id
+from vgmpi.features.rigid_bodies.plan import RigidBodiesPlan
 from vgmpi.planning.cost.plan_report import format_plan
 from vgmpi.planning.region_groups import groups_of_particles
 from vgmpi.runtime.config.schema import SceneError
@@ -118,7 +119,7 @@ def test_a_rigid_body_carries_the_mass_that_it_holds(tmp_path):
     masses = []
     for text in (plain, SCENE.replace('"wall" }', '"boat" }')):
         plan = vgmpi.plan(vgmpi.load(tmp_path / "scene.toml", text=text))
-        masses.append(plan.rigid.bodies[0].mass)
+        masses.append(plan.feature(RigidBodiesPlan).at_start.bodies[0].mass)
     assert masses[1] - masses[0] == pytest.approx(0.1584, rel=1e-12)
 
 

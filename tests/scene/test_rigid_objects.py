@@ -8,6 +8,7 @@ import pytest
 
 import vgmpi
 from tests.support.simulate import begin
+from vgmpi.features.rigid_bodies.plan import RigidBodiesPlan
 from vgmpi.planning.cost.plan_report import format_plan
 from vgmpi.planning.plan import time_step_bounds
 from vgmpi.runtime.config.schema import SceneError
@@ -265,6 +266,6 @@ def test_the_plan_counts_the_surface_points_of_the_solver(tmp_path):
     simulation, _ = begin(tmp_path, text)
     first = simulation.features["rigid_bodies"].surface.first
     scene = vgmpi.load(tmp_path / "scene.toml", text=text)
-    told = [body.points for body in vgmpi.plan(scene).rigid.bodies]
+    told = [body.points for body in vgmpi.plan(scene).feature(RigidBodiesPlan).at_start.bodies]
     assert told == (first[1:] - first[:-1]).tolist()
     assert min(told) > 300

@@ -13,7 +13,7 @@ STARTS: dict[str, tuple[str, str] | None] = {
     "collider_slip": ("surface_slip.coupling", "start_collider_slip"),
     "solid_slip": ("surface_slip.coupling", "start_solid_slip"),
     "pinned_parts": None,
-    "rigid_bodies": ("rigid_bodies.coupling", "start"),
+    "rigid_bodies": None,
     "prescribed_motion": ("prescribed_motion.coupling", "start"),
     "reactions": ("reactions.coupling", "start"),
     "inlets": ("inlets_outlets.coupling", "start_inlets"),

@@ -24,14 +24,29 @@ class FeaturePlan:
     Attributes:
         name: Name of the feature.
         nodal_fields: Names of the fields near surfaces that it reads at nodes.
+        reads_at_colliders: Whether it reads them only at nodes next to colliders that it moves.
         phases: Phases whose particles contribute to them.
+        numbers_colliders: Whether it must know which collider a node is close to.
+        moved_colliders: Number of colliders that it moves by what acts on them.
+        collider_title: What reports call these.
+        counted: What reports count where there are no particles: number, singular, plural.
+        has_momentum: Whether momentum and energy of its own are in the conservation log.
+        step_limit: What makes steps shorter than at the start, for reports, or "".
         uncounted_groups: Groups whose momentum and energy something else counts.
     """
 
     name = ""
     nodal_fields: frozenset[str] = frozenset()
+    reads_at_colliders = numbers_colliders = has_momentum = False
     phases: frozenset[int] = frozenset()
+    moved_colliders = 0
+    collider_title = step_limit = ""
+    counted = 0, "", ""
     uncounted_groups: frozenset[int] = frozenset()
+
+    def contributes(self, phase: int) -> bool:
+        """Return whether the particles of a phase contribute to its nodal fields."""
+        return phase in self.phases
 
     def parts(self) -> list[BodyPart]:
         """Return the parts of bodies that have groups of their own."""
@@ -55,6 +70,10 @@ class FeaturePlan:
 
     def report_lines(self, plan: Any) -> list[str]:
         """Return its lines of the plan report."""
+        return []
+
+    def warning_lines(self, plan: Any) -> list[str]:
+        """Return a line on each thing of it that will hardly do what is meant."""
         return []
 
     def start(self, context: Any) -> Any:

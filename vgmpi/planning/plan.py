@@ -15,7 +15,6 @@ import numpy as np
 from vgmpi.materials.couplings.interaction import MIXING, InteractionRules
 from vgmpi.materials.material import law_function
 from vgmpi.scene.gravity import Keys, gravity_at, gravity_keys, mean_gravity
-from vgmpi.scene.joints import Joint
 from vgmpi.scene.loads import mean_ramp_factor
 from vgmpi.scene.scene import Scene
 from vgmpi.scene.sections import Accuracy
@@ -40,7 +39,6 @@ from .phases_and_groups import (
 from .prescribed_bodies import Extents, PrescribedBodyPlan, prescribed_body_plans, prescribed_phases
 from .proximity import Proximity
 from .region_groups import RegionPlan
-from .rigid_bodies import RigidBodiesSummary
 from .surface_friction import SurfaceSlipPlan, friction_table, slip_of_solids, surface_slip_plan
 
 FLOAT_TYPES: dict[str, np.dtype] = {
@@ -119,13 +117,10 @@ class Plan:
     features: tuple[FeaturePlan, ...] = ()  # optional features, in the order in which they act
     opens: tuple[float | None, ...] = (None,) * 6  # [s] when each wall vanishes
     feels: bool = False  # reaction impulses of each collider and wall are summed
-    free_bodies: bool = False  # some colliders are free rigid bodies
     slip: SurfaceSlipPlan | None = None  # of viscous liquids on colliders, if it is limited
     slip_of_solids: SurfaceSlipPlan | None = None  # of viscous liquids on solids, if it is limited
     sides: WallSidesPlan | None = None  # of thin walls
     implicit_pressure: bool = False  # the grid finds the pressure of the scene's liquid
-    joints: tuple[Joint, ...] = ()  # of the free rigid bodies
-    rigid: RigidBodiesSummary | None = None  # these bodies at the start, if known
     holding_walls: tuple[str, ...] = ()  # slip walls that also hold back the bodies on them
     regions: tuple[RegionPlan, ...] = ()  # parts of bodies of another material, if known
 
@@ -136,7 +131,8 @@ class Plan:
     @property
     def numbers_colliders(self) -> bool:
         """True if the solver must know which collider a node is close to."""
-        return self.feels or self.free_bodies or self.slip is not None
+        by_features = any(feature.numbers_colliders for feature in self.features)
+        return self.feels or self.slip is not None or by_features
 
     @property
     def has_releases(self) -> bool:
@@ -301,11 +297,10 @@ def make_plan(
         rules=sharing, colors=colors, affine=scene.accuracy.affine, keeps=keeps, restores=restores,
         splines=scene.accuracy.gradient == "bspline", implicit_pressure=is_implicit(scene),
         shift_interval=shift_interval(scene) * any(group.shifts for group in groups),
-        gravity_ramp_time=scene.domain.gravity_ramp_time, joints=scene.joint,
+        gravity_ramp_time=scene.domain.gravity_ramp_time,
         gravity_keys=gravity_keys(scene.domain), features=features, opens=tuple(scene.domain.opens),
         sources=inlet_plans(scene, group_of, count), sinks=outlet_plans(scene), driven=driven,
         feels=any(probe.feels for probe in scene.probe),
-        free_bodies=any(obj.free_body is not None for obj in scene.object),
     )  # fmt: skip
     _check_steps(scene, plan)
     return plan

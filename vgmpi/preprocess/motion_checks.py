@@ -8,7 +8,6 @@ import numpy as np
 from vgmpi.kernels.rigid.moving_colliders import MAX_COLLIDER_TRAVEL_CELLS
 from vgmpi.planning.plan import MAX_STEPS
 from vgmpi.planning.prescribed_bodies import course_of
-from vgmpi.planning.rigid_bodies import MIN_THICKNESS_CELLS, is_thin
 from vgmpi.scene.objects import Object
 from vgmpi.scene.rigid_motion import SPEED_SAMPLES, Trajectories
 from vgmpi.scene.scene import Scene
@@ -17,6 +16,8 @@ from .collider_sdf import Collider
 
 log = logging.getLogger("vgmpi")
 
+MIN_THICKNESS_CELLS = 2.0  # [cells] of a body or collider, below which the grid does not resolve it
+THICKNESS_TOLERANCE_CELLS = 0.25  # [cells] of a thickness that was measured on a lattice
 MAX_SAMPLES = 2_000_000  # [points] of that lattice
 # intervals of a run for which the travel of motions is computed, and samples of each
 TRAVEL_INTERVALS, TRAVEL_SAMPLES = 128, 8
@@ -199,6 +200,16 @@ def _outside(scene: Scene, collider: Collider, courses: Trajectories, time: floa
                 f" {high[a]:.4g} m; the domain is 0 .. {size:g} m"
             )
     return ""
+
+
+def is_thin(thickness: float, dx: float) -> bool:
+    """Return whether the grid does not resolve a body or collider.
+
+    Args:
+        thickness: Its thickness [m], measured on a lattice.
+        dx: Cell size [m].
+    """
+    return thickness < (MIN_THICKNESS_CELLS - THICKNESS_TOLERANCE_CELLS) * dx
 
 
 def _warn_if_thin(collider: Collider, dx: float) -> None:

@@ -20,7 +20,7 @@ from vgmpi.runtime.config.schema import StrictModel
 from .objects import Object
 
 # In the order in which they act. It numbers groups and orders sums: it is part of the results.
-FEATURES = ("pinned_parts",)
+FEATURES = ("pinned_parts", "rigid_bodies")
 
 Errors = list[tuple[tuple, str]]  # (path of a key, message)
 

@@ -20,7 +20,6 @@ from vgmpi.planning.plan import Plan, make_plan
 from vgmpi.planning.prescribed_bodies import Extents
 from vgmpi.planning.proximity import Proximity
 from vgmpi.planning.region_groups import region_plans
-from vgmpi.planning.rigid_bodies import RigidBodiesSummary
 from vgmpi.preprocess.initial_conditions import closed_box_tensions, liquid_weights
 from vgmpi.preprocess.load_targets import resolve_loads
 from vgmpi.preprocess.meshes import triangle_mesh
@@ -29,7 +28,6 @@ from vgmpi.preprocess.setting_checks import holding_walls
 from vgmpi.scene.scene import Scene
 from vgmpi.scene.scene_feature import InitialParticles, feature_folders, prepare_features
 from vgmpi.solver.estimates.measure_proximity import surroundings
-from vgmpi.solver.estimates.measure_rigid_bodies import measure_rigid_bodies
 
 log = logging.getLogger("vgmpi")
 
@@ -49,7 +47,6 @@ class ParticleSummary:
     extents: Extents = field(default_factory=dict)  # of the bodies with prescribed motion
     weights: tuple[float, ...] = ()  # [Pa] see plan.Plan
     tensions: tuple[float, ...] = ()  # [Pa] see plan.Plan
-    rigid: RigidBodiesSummary = RigidBodiesSummary()
     features: dict[str, Any] = field(default_factory=dict)  # prepared data of features, by name
     holding_walls: tuple[str, ...] = ()  # see plan.Plan
     # on rank 0: datasets to be written to gaussians.h5, None if the file holds them
@@ -252,7 +249,6 @@ def _summary_of(scene, objects, particles, x, colliders, loads) -> ParticleSumma
         extents,
         liquid_weights(scene, objects, x),
         closed_box_tensions(scene, objects, x, volume),
-        measure_rigid_bodies(colliders, scene.domain.cell),
         holding_walls=holding_walls(scene, objects, x),
     )
 
@@ -296,7 +292,7 @@ def plan_for(scene: Scene, summary: ParticleSummary) -> Plan:
     return replace(
         plan, thickness=summary.thickness, surroundings=summary.surroundings,
         volumes=tuple(summary.volume), weights=summary.weights, tensions=summary.tensions,
-        motion_steps=tuple(steps.tolist()), rigid=summary.rigid,
+        motion_steps=tuple(steps.tolist()),
         regions=region_plans(plan, summary.objects), holding_walls=summary.holding_walls,
     )  # fmt: skip
 

@@ -137,7 +137,7 @@ class Runner:
             last_step,
             self.plan.is_open_system,
             liquids,
-            self.plan.free_bodies,
+            any(feature.has_momentum for feature in self.plan.features),
         )
         self.checkpoints = folder / file_layout.CHECKPOINTS
         if last_step is None:

@@ -26,6 +26,8 @@ from vgmpi.kernels.step_records import StepSpan
 from vgmpi.parallel.block_ownership import BlockDirectory
 from vgmpi.parallel.exchange_topology import NEAR_BODIES, ExchangeTopology, counting_owner
 
+from .plan import RigidBodiesPlan
+
 MAX_ROUNDS = 6  # of sums over the ranks in a step
 HEADROOM = 16.0  # [-] factor on the mass that fills the domain, and on a cell per step
 SUM_BITS, IMPULSE_BITS = 58, 61  # [bits] range of the whole numbers
@@ -39,14 +41,19 @@ class RigidBodies(ActiveFeature):
 
     couples_nodes = True
 
-    def __init__(self, context: StartContext):
-        """Set up the points of the bodies' surfaces and the range of the sums."""
+    def __init__(self, own: RigidBodiesPlan, context: StartContext):
+        """Set up the points of the bodies' surfaces and the range of the sums.
+
+        Args:
+            own: Plan of the bodies.
+            context: What a feature may take when a run starts.
+        """
         plan, movers = context.plan, context.movers
         self.features = context.features
         self.holders: list[Any] = [f for f in self.features.values() if f.attaches_to_bodies]
         self.plan, self.movers, self.ranks = plan, movers, context.ranks
         self.bodies, count = movers.free, len(movers.free.rows)
-        self.joints = jointed_bodies(plan.joints, movers)
+        self.joints = jointed_bodies(own.joints, movers)
         self.number_of = np.full(len(movers.colliders), -1)
         self.number_of[self.bodies.rows] = np.arange(count)
         rows = np.array(plan.friction)[len(plan.phases) :]
@@ -224,9 +231,3 @@ class RigidBodies(ActiveFeature):
         self.points, self.points_before = self.points_before, self.points
         bodies.momentum[:] = bodies.mass[:, None] * bodies.v[:, :3]
         bodies.spin[:] = (inertia * bodies.v[:, None, 3:]).sum(2)
-
-
-def start(context: StartContext) -> RigidBodies | None:
-    """Return the free rigid bodies of a run, or None if it has none."""
-    has_bodies = context.movers is not None and context.movers.free is not None
-    return RigidBodies(context) if has_bodies else None

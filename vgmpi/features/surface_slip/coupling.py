@@ -76,8 +76,8 @@ class ColliderSlip(SurfaceSlip):
         plan, solids = context.plan, context.collider_nodes
         assert plan.slip is not None
         lengths, viscosities = np.array(plan.slip.lengths), np.array(plan.slip.viscosities)
-        if plan.free_bodies:
-            lengths[solids.is_free] = np.inf  # free bodies couple by themselves
+        if len(is_free := getattr(solids, "is_free", ())):
+            lengths[is_free] = np.inf  # free bodies couple by themselves
         super().__init__(context, SlipLaw(lengths, viscosities))
         self.solids = solids
 

@@ -134,12 +134,15 @@ def _colliders(scene: Scene, plan: Plan, g: int, fluid: float, costs: StepCosts)
     if not share:
         return []
     cost_by_name = {}
-    if any(entity.collider and entity.free_body is None for entity in scene.object):
+    moved = sum(feature.moved_colliders for feature in plan.features)
+    if sum(entity.collider for entity in scene.object) > moved:
         cost_by_name[_with_percentage("colliders", share)] = costs.collider
     if any(entity.collider and entity.motion for entity in scene.object):
         cost_by_name["colliders that move"] = costs.moving_collider
-    if plan.free_bodies:
-        cost_by_name[_with_percentage("free rigid bodies", share)] = costs.rigid_body
+    for feature in plan.features:
+        if feature.moved_colliders:
+            title = _with_percentage(feature.collider_title, share)
+            cost_by_name[title] = costs.coupled_collider
     if plan.feels:
         cost_by_name["probes of what colliders give"] = costs.probe
     blocks = sum(plan.surroundings[k].blocks for k in rows) / sum(plan.count[k] for k in rows)

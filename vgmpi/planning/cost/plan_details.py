@@ -11,7 +11,6 @@ from vgmpi.scene.scene import Scene
 
 from . import accuracy_benchmarks
 from .feature_costs import feature_table
-from .rigid_body_lines import rigid_body_lines
 from .throughput import Throughput
 
 PRECISION = {
@@ -31,9 +30,8 @@ def plan_details(scene: Scene, plan: Plan, pace: Throughput) -> list[str]:
     """
     lines = [f"  precision   {scene.accuracy.precision}: {PRECISION[scene.accuracy.precision]}"]
     lines += _phases(plan) + _regions(scene, plan) + _couplings(plan) + _walls(plan)
-    lines += rigid_body_lines(scene, plan)
     lines += [line for feature in plan.features for line in feature.report_lines(plan)]
-    lines += _joints(scene) + _slip(scene) + _flows(plan) + _accuracy_notes(scene, plan)
+    lines += _slip(scene) + _flows(plan) + _accuracy_notes(scene, plan)
     return (
         lines + accuracy_benchmarks.preset_accuracy_lines(scene) + feature_table(scene, plan, pace)
     )
@@ -90,12 +88,6 @@ def _regions(scene: Scene, plan: Plan) -> list[str]:
         f" {escape_control_characters(plan.groups[region.group].material)}"
         for region in plan.regions
     ]
-
-
-def _joints(scene: Scene) -> list[str]:
-    """Return the line that names the joints."""
-    joints = [f"{joint.kind} of {' and '.join(joint.between)}" for joint in scene.joint]
-    return [f"  joints      {_listing(joints)}"] if joints else []
 
 
 def _thin_walls(scene: Scene) -> list[str]:

@@ -124,8 +124,7 @@ def _steps(
     few, many = (step_count(plan, d, end - left) for d in (dt, min_dt))
     if few > MOTION_STEP_MARGIN * left / dt:
         cause += "; shorter where colliders or prescribed bodies move fast"
-    if plan.free_bodies:
-        cause += "; shorter where rigid bodies or spray are fast"
+    cause += "".join(f"; {each.step_limit}" for each in plan.features if each.step_limit)
     if rehearsal is not None:
         few = many = math.ceil(rehearsal.steps)
     written = writing_seconds(plan, ranks, frames)

@@ -65,7 +65,7 @@ def pours_onto_bodies(scene: Scene, plan: Plan) -> bool:
         scene: The scene.
         plan: Its plan.
     """
-    is_met = len(plan.phases) > 1 or any(obj.collider or obj.free_body for obj in scene.object)
+    is_met = len(plan.phases) > 1 or any(obj.collider for obj in scene.object)
     return bool(plan.sources) and is_met
 
 

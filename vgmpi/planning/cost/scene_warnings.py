@@ -9,7 +9,6 @@ from vgmpi.planning.surface_friction import liquids_expected_to_stick
 from vgmpi.runtime.config.toml_source import escape_control_characters
 from vgmpi.scene.scene import Scene
 
-from .rigid_body_lines import rigid_body_warnings
 from .run_estimate import step_count
 from .timestep_advice import POWERS, UNITS, rigid_clause, soft_liquid_lines, stiffness_key
 
@@ -30,9 +29,8 @@ def warning_lines(scene: Scene, plan: Plan) -> list[str]:
         plan: Its plan.
     """
     lines = soft_liquid_lines(scene, plan.weights, plan.tensions)
-    return (
-        lines + _stiff_liquids(scene, plan) + _steps(scene, plan) + rigid_body_warnings(scene, plan)
-    )
+    lines += _stiff_liquids(scene, plan) + _steps(scene, plan)
+    return lines + [line for feature in plan.features for line in feature.warning_lines(plan)]
 
 
 def note_lines(scene: Scene, plan: Plan) -> list[str]:

@@ -150,8 +150,9 @@ def timing_table(run: Runner, clock: Clock) -> str:
     wall = clock.last - clock.began
     steps = simulation.step - run.first_step
     particles, unit, units = run.plan.particles, "particle", "particles"
-    if not particles and run.plan.rigid is not None:
-        particles, unit, units = len(run.plan.rigid.bodies), "body", "rigid bodies"
+    if not particles:
+        counted = [feature.counted for feature in run.plan.features if feature.counted[0]]
+        particles, unit, units = counted[0] if counted else (particles, unit, units)
     if run.plan.is_open_system:  # the particles present now
         particles = max(1, sum(entry["particles"] for entry in run.latest_conservation))
     lines = [f"{steps:,} steps of {particles:,} {units} in {wall:.1f} s on {ranks.size} rank(s)"]

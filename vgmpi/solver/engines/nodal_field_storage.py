@@ -189,11 +189,10 @@ def contributions(
 
 def fields_near_colliders(plan: Plan) -> tuple[str, ...]:
     """Return the names of the nodal fields that are summed near surfaces alone."""
-    if plan.free_bodies:
-        return NEAR_BODIES
     slips = plan.slip is not None or plan.slip_of_solids is not None
-    names = frozenset().union(*(feature.nodal_fields for feature in plan.features))
-    return tuple(name for name in GRADIENTS if slips or name in names)
+    names = frozenset(GRADIENTS if slips else ())
+    names = names.union(*(feature.nodal_fields for feature in plan.features))
+    return tuple(name for name in NEAR_BODIES if name in names)
 
 
 def fields_of_couplings(plan: Plan) -> tuple[str, ...]:
@@ -205,8 +204,8 @@ def near_colliders_of_group(plan: Plan, group: GroupPlan) -> tuple[str, ...]:
     """Return those of these fields to which a group contributes."""
     rules = [rule for rule in (plan.slip, plan.slip_of_solids) if rule is not None]
     slips = any(rule.phases[group.phase] for rule in rules)
-    is_read = any(group.phase in feature.phases for feature in plan.features)
-    if group.is_carried or not (plan.free_bodies or slips or is_read):
+    is_read = any(feature.contributes(group.phase) for feature in plan.features)
+    if group.is_carried or not (slips or is_read):
         return ()
     return fields_near_colliders(plan)
 

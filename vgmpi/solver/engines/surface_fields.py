@@ -34,13 +34,13 @@ class SurfaceContributions(NamedTuple):
 
 
 def is_summed_at_surfaces(plan: Plan) -> bool:
-    """Return whether the fields near free bodies are summed at the nodes next to them alone.
+    """Return whether the fields near surfaces are summed at the nodes next to colliders alone.
 
-    Other features, thin walls and liquids that stick to solids read them at more nodes.
+    Some features, thin walls and liquids that stick to solids read them at more nodes.
     """
-    elsewhere = any(feature.nodal_fields for feature in plan.features)
-    elsewhere |= plan.sides is not None or plan.slip_of_solids is not None
-    return plan.free_bodies and not elsewhere
+    readers = [feature for feature in plan.features if feature.nodal_fields]
+    elsewhere = plan.sides is not None or plan.slip_of_solids is not None
+    return bool(readers) and all(each.reads_at_colliders for each in readers) and not elsewhere
 
 
 def patch_count(plan: Plan) -> int:

@@ -36,7 +36,7 @@ class Solver:
         self.plan = plan_for(self.scene, known_of(self.scene, self.prepared))
         self.cell = float(self.scene.domain.cell)
         self.volume = np.asarray(self.prepared.vol0, dtype=np.float64)
-        if self.plan.free_bodies:
+        if any(feature.moved_colliders for feature in self.plan.features):
             self.volume = np.append(self.volume, 0.0)  # the row of the block's center
         self.versions = {name: str(text) for name, text in versions().items()}
 

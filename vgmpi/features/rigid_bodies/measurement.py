@@ -5,7 +5,8 @@ import numpy as np
 from vgmpi.kernels.rigid.moving_colliders import SDF_SPACING_CELLS
 from vgmpi.kernels.rigid.static_colliders import SDF_BAND_CELLS
 from vgmpi.kernels.rigid.surface_points import points_on_surface
-from vgmpi.planning.rigid_bodies import Overlap, RigidBodiesSummary, RigidBodySummary
+
+from .plan import Overlap, RigidBodiesSummary, RigidBodySummary
 
 MIN_OVERLAP_CELLS = 0.25  # [cells] depth above which an overlap is told
 
@@ -18,8 +19,6 @@ def measure_rigid_bodies(colliders: list, dx: float) -> RigidBodiesSummary:
         dx: Cell size [m].
     """
     rows = [m for m, collider in enumerate(colliders) if collider.body is not None]
-    if not rows:
-        return RigidBodiesSummary()
     ends = np.array([collider.ends() for collider in colliders])
     bodies: list[RigidBodySummary] = []
     overlaps: dict[tuple[int, int], float] = {}
