@@ -7,7 +7,8 @@
 
 docs/pictures/studio-NAME.jpg are the sheets of docs/explanation/studio.md. Both rows have the
 camera of the scene's render.toml. The paper's way has the colors, the floor and the light that made
-the best of it in each scene; the studio has no other setting.
+the best of it in each scene; the studio has no other setting. Scenes of clear liquids, which the
+paper's way draws as Gaussians only, have the studio's row alone.
 """
 
 import argparse
@@ -28,7 +29,6 @@ PICTURES = HERE.parent / "docs" / "pictures"
 WIDE = 200  # pixels of each picture
 PALE = {"background": "#e4ebf1"}
 SQUARES = {"height": 0, "color": "#cfcac2", "checker_size": 0.08, "checker_color": "#c2bcb2"}
-WATER = {"zenith": "#3f7fc8", "horizon": "#dfeaf4", "ground": "#6b6256"}
 SUN = [0.5, 0.4, -1]
 
 
@@ -37,12 +37,12 @@ class Sheet(NamedTuple):
 
     Attributes:
         folder: of its render.toml, and of its run in `out`, below runs/.
-        before: tables of render.toml for the paper's way.
+        before: tables of render.toml for the paper's way, or None for the studio alone.
         times: parts 0..1 of the run.
     """
 
     folder: str
-    before: dict[str, dict[str, Any]]
+    before: dict[str, dict[str, Any]] | None
     times: tuple[float, ...] = TIMES
 
 
@@ -52,13 +52,12 @@ def _paper(shadow: float, shade: float, **tables: dict[str, Any]) -> dict[str, d
     return {"picture": {**PALE, "floor": SQUARES}, "light": light, **tables}
 
 
-_WET = {"absorption_length": 0.25, "environment": WATER}
 _BEIGE = {"picture": {"background": "#f2efe8"}}
 SHEETS = {
     "splash": Sheet("splash", _BEIGE),
     "photo": Sheet("photo/made", {}, tuple(k / 30 for k in (0, 5, 8, 15, 30))),
     "guitar": Sheet("capture", _BEIGE),
-    "faucet": Sheet("faucet", _paper(0.5, 0.35, liquid=_WET, look={"liquid": "surface"})),
+    "faucet": Sheet("faucet", None),
     "castle_falls": Sheet(
         "castle_falls", _paper(0.5, 0.35, look={"brightness_jitter": {"castle": 0.18}})
     ),
@@ -67,30 +66,14 @@ SHEETS = {
         _paper(0.35, 0.25, look={"brightness_jitter": {"ground": 0.06, "ball": 0.06}}),
         FAST["snowball"],
     ),
-    "water_on_snow": Sheet(
-        "water_on_snow",
-        _paper(
-            0.35, 0.25, liquid=_WET, look={"liquid": "surface", "brightness_jitter": {"wall": 0.06}}
-        ),
-    ),
-    "castle_flood": Sheet(
-        "castle_flood",
-        _paper(
-            0.5,
-            0.35,
-            liquid=_WET,
-            look={"liquid": "surface", "brightness_jitter": {"castle": 0.18}},
-        ),
-    ),
+    "water_on_snow": Sheet("water_on_snow", None),
+    "castle_flood": Sheet("castle_flood", None),
     "snowman": Sheet(
         "snowman",
         _paper(0.35, 0.25, look={"brightness_jitter": {"snowman": 0.06}}),
         FAST["snowman"],
     ),
-    "two_liquids": Sheet(
-        "two_liquids",
-        _paper(0.5, 0.35, liquid={"absorption_length": 0.5}, look={"liquid": "surface"}),
-    ),
+    "two_liquids": Sheet("two_liquids", None),
     "sandbox": Sheet("sandbox", _paper(0.5, 0.35, look={"brightness_jitter": {"sand": 0.18}})),
 }
 
@@ -145,7 +128,8 @@ def draw(name: str, folder: Path, kept: Path | None, to: Path) -> None:
     home = HERE / one.folder
     chosen = render_config.load(home / "render.toml")
     rows = []
-    for way in (before(chosen, one.before), chosen):
+    ways = [] if one.before is None else [before(chosen, one.before)]
+    for way in (*ways, chosen):
         shown = pictures(run, way, home, one.times)
         rows.append(np.hstack([small(picture) for picture in shown]))
     if kept is not None:

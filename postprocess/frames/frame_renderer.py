@@ -14,12 +14,11 @@ from vgmpi.gaussians.camera import Camera, thin_lens_sample
 from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.runtime import process_limits
 
-from ..raster import ground_plane, liquid_surface, rasterize, shadow_lighting
+from ..raster import ground_plane, rasterize, shadow_lighting
 from . import image_io, render_config
 from .appearance import Appearance, view_dependent_splats
 from .camera_paths import CameraPath
 from .frame_gaussians import GaussianBatch, moving
-from .run_liquids import Liquids
 
 log = logging.getLogger("vgmpi")
 
@@ -70,7 +69,6 @@ class FrameRenderer:
             CameraPath(entry, size, box, folder, longest, share) for entry in chosen.views()
         ]
         self.supersample = 1 if quick else size.supersample
-        self.surface = chosen.look.liquid == "surface" and not chosen.studio
         self.afford()
         self.grounds = [
             image_io.background(chosen.background, entry.width, entry.height, folder)
@@ -88,13 +86,7 @@ class FrameRenderer:
             has_blur = has_blur or any(entry.aperture > 0 for entry in chosen.views())
         self.samples = size.blur_samples if has_blur and not quick else 1
         self.look = Appearance(run, chosen.look)
-        self.liquids = None
-        if self.surface:
-            sun = self.light or shadow_lighting.Light()
-            self.liquids = Liquids(self.look, chosen.liquid, sun, box, folder)
-        self.alpha_min = self.look.alpha_min(
-            chosen.splatting.alpha_min, self.surface or chosen.studio
-        )
+        self.alpha_min = self.look.alpha_min(chosen.splatting.alpha_min, chosen.studio)
         self.studio = None
         if chosen.studio:
             # it compiles much, and preset "paper" does without
@@ -112,8 +104,7 @@ class FrameRenderer:
         key = "picture.supersample" if self.supersample > 1 else "picture.width"
         count_text = f", {at_once} pictures at once" if at_once > 1 else ""
         try:
-            bytes_per_pixel = liquid_surface.BYTES if self.surface else rasterize.BYTES
-            bytes_per_pixel = STUDIO_BYTES if self.chosen.studio else bytes_per_pixel
+            bytes_per_pixel = STUDIO_BYTES if self.chosen.studio else rasterize.BYTES
             process_limits.require_memory(
                 at_once * bytes_per_pixel * pixels, f"{key}: {message}{count_text}: at least"
             )
@@ -145,17 +136,17 @@ class FrameRenderer:
             ):  # without a shutter the particles do not move
                 sample_frame = self._moment(frame, index, sample)
                 if self.studio is None:
-                    parts = self._apply_light(self.look.parts(sample_frame), sample_frame)
+                    parts = self._apply_light(self.look.parts(sample_frame))
                 else:
                     parts = self.studio.moment(sample_frame, index)
-            samples.append(self._pixels(sample_frame, parts, cameras, sample))
+            samples.append(self._pixels(parts, cameras, sample))
         return [self._mean(views) for views in zip(*samples)]
 
     def warm_up(self) -> None:
         """Draw an empty studio, so that what lights and composes its pictures is compiled."""
         cameras = [view.camera_at(0.0, 0.0) for view in self.views]
         if self.studio is not None:
-            self._pixels({}, self.studio.empty_moment(), cameras, 0)
+            self._pixels(self.studio.empty_moment(), cameras, 0)
 
     def _mean(self, views: tuple[Pixels, ...]) -> Pixels:
         """Average the samples of a view; the depth is that of the first sample."""
@@ -183,7 +174,7 @@ class FrameRenderer:
             + delay * np.asarray(frame["velocity"], dtype=np.float64),
         }
 
-    def _pixels(self, frame: dict, parts: Any, cameras: list[Camera], sample: int) -> list[Pixels]:
+    def _pixels(self, parts: Any, cameras: list[Camera], sample: int) -> list[Pixels]:
         """Return image, transmittance and depth of a frame from every camera."""
         pixels = []
         for entry, camera, ground in zip(self.chosen.views(), cameras, self.grounds):
@@ -193,7 +184,7 @@ class FrameRenderer:
             if entry.aperture > 0 and self.samples > 1:
                 assert entry.focus is not None  # the settings are refused without
                 camera = thin_lens_sample(camera, entry.aperture, entry.focus, sample, self.samples)
-            pixels.append(self._rasterize(frame, parts, camera, ground))
+            pixels.append(self._rasterize(parts, camera, ground))
         return pixels
 
     def _render_in_studio(
@@ -215,31 +206,24 @@ class FrameRenderer:
         paths = [view.keyframes for view in self.chosen.views() if view.keyframes]
         return any(keyframes[0].time is not None for keyframes in paths)
 
-    def _rasterize(
-        self, frame: dict, parts: list[GaussianBatch], camera: Camera, ground: np.ndarray
-    ) -> Pixels:
-        """Render a frame from one camera by splatting, with liquid surfaces if there are any."""
+    def _rasterize(self, parts: list[GaussianBatch], camera: Camera, ground: np.ndarray) -> Pixels:
+        """Render a frame from one camera by splatting."""
         splats = view_dependent_splats(parts, camera.eye)
         ground = self._background_with_floor(splats, camera, ground)
-        options = {"alpha_min": self.alpha_min, **self.chosen.splatting.options()}
-        if self.liquids is None:
-            depth = "median" if self.depth else None
-            options |= {"supersample": self.supersample, "depth": depth}
-            return rasterize.render(splats, camera, ground, **options)
-        fine = rasterize.supersampled_camera(camera, self.supersample)
-        under = rasterize.background_image(ground, camera, self.supersample)
-        rendered = self.liquids.render(
-            frame, parts, fine, under, self.floor, with_depth=self.depth, **options
-        )
-        return rasterize.box_downsample(rendered, self.supersample)
+        options = {
+            "alpha_min": self.alpha_min,
+            "supersample": self.supersample,
+            "depth": "median" if self.depth else None,
+            **self.chosen.splatting.options(),
+        }
+        return rasterize.render(splats, camera, ground, **options)
 
-    def _apply_light(self, parts: list[GaussianBatch], frame: dict) -> list[GaussianBatch]:
+    def _apply_light(self, parts: list[GaussianBatch]) -> list[GaussianBatch]:
         """Apply the light to the parts, if there is one."""
         if self.light is None:
             return parts
         splats = rasterize.join_gaussians([part.without_color() for part in parts])
-        liquid = None if self.liquids is None else self.liquids.select_liquids(parts, frame)
-        brightness = shadow_lighting.shade(splats, self.light, self.look.spacing, liquid)
+        brightness = shadow_lighting.shade(splats, self.light, self.look.spacing)
         ends = np.cumsum([len(part.x) for part in parts])[:-1]
         return [
             part.scaled_brightness(factor)

@@ -101,19 +101,16 @@ class LightSettings(RenderTable):
 
 
 class LiquidSettings(RenderTable):
-    """Liquids that are drawn with a surface (look.liquid = "surface")."""
+    """Liquids in the studio, which draws their surfaces."""
 
-    method: Literal["field", "filter"] | None = None  # density field or screen-space filter
-    cells_per_spacing: Annotated[float, Field(ge=1, le=4)] = 2.5  # of the field
+    cells_per_spacing: Annotated[float, Field(ge=1, le=4)] = 2.5  # of the density field
     # [1/m]; default: by opacity
     scattering_coefficient: Annotated[float, Field(ge=0)] | None = None
     clip_at_walls: bool = True  # whether the domain's walls cut the surface flat
     refractive_index: Annotated[float, Field(ge=1.0, le=3.0)] = 1.333
-    # [m] distance after which white light has the liquid's color; default: a third of the view
+    # [m] distance after which white light has the liquid's color; default: 2/3 of the view
     absorption_length: Annotated[float, Field(gt=0)] | None = None
     highlight: Annotated[float, Field(ge=0, le=100)] = 2.0
-    # [degrees] half width of the highlight
-    roughness: Annotated[Degrees, Field(ge=0.1, le=60)] = 3.0
     environment: EnvironmentSettings = EnvironmentSettings()
 
 
@@ -128,7 +125,6 @@ class LookSettings(RenderTable):
     """Appearance of Gaussians; None: the value of the scene (vgmpi/scene/sections.py)."""
 
     preset: Literal["studio", "paper"] = "studio"  # paper: plain Gaussians
-    liquid: Literal["gaussians", "surface"] | None = None  # representation of fluids
     # of sand or snow
     grains_per_particle: Annotated[int, Field(strict=True, ge=1, le=64)] = 16
     tear: Annotated[tuple[float, float], AfterValidator(_ascending)] = (1.8, 4.5)  # [spacings]

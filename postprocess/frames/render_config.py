@@ -303,9 +303,7 @@ class Settings(RenderTable):
 
     @property
     def studio(self) -> bool:
-        """True if the studio draws the images; other methods of liquids exclude it."""
-        if self.look.liquid == "gaussians" or self.liquid.method == "filter":
-            return False
+        """True if the studio draws the images."""
         return self.look.preset == "studio"
 
     def on_paper(self) -> "Settings":

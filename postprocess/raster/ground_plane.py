@@ -101,7 +101,7 @@ def cast_shadow(splats: ProjectableGaussians, floor: GroundPlane) -> Shadow:
     )
     canvas = new_canvas(rows, columns)
     order = np.arange(len(dropped[0]))  # transmittance is a product: any order is valid
-    blend_tiles(order, *dropped, canvas, -(-columns // TILE), False, None, None, None)
+    blend_tiles(order, *dropped, canvas, -(-columns // TILE), False, None, None)
     light, colors = np.empty((rows, columns), np.float32), np.empty((rows, columns, 3), np.float32)
     picture(canvas, np.broadcast_to(np.float32(0), colors.shape), colors, light)
     return Shadow(light, lower, pixel)
@@ -175,15 +175,6 @@ def composite_ground(
         bright *= 1 - floor.contact * (1 - _light(contact, points))
     out[is_ground] = color * bright[:, None]
     return out
-
-
-def ground_depth(floor: GroundPlane, camera: Camera) -> np.ndarray:
-    """Return the depth of the plane along the camera axis, float32 (height, width) [m].
-
-    It is infinite where the plane is not visible.
-    """
-    depth, _, is_ground = _meets(floor, camera)
-    return np.where(is_ground, depth, np.inf).astype(np.float32)
 
 
 def _meets(floor: GroundPlane, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -87,6 +87,38 @@ def resolve_lowpass(
     return variance, np.ascontiguousarray(own, dtype=np.float64)
 
 
+def project_splats(
+    splats: ProjectableGaussians,
+    camera: Camera,
+    lowpass: float | None,
+    antialias: bool | None,
+    alpha_min: float,
+    visible_ids: np.ndarray | None = None,
+) -> tuple[np.ndarray, ...]:
+    """Project Gaussians by `project`, with the options of `render`.
+
+    Args:
+        splats, camera: Gaussians and the camera of the picture.
+        lowpass, antialias, alpha_min: As of `render`.
+        visible_ids: (out) As of `project`.
+
+    Returns:
+        The arrays of `ProjectedGaussians` and the depths of the Gaussians in view [m].
+    """
+    arrays = (splats.x, splats.cov, splats.opacity, splats.color)
+    x, cov, opacity, color = map(np.ascontiguousarray, arrays)
+    return project(
+        x, cov, opacity, color,
+        np.ascontiguousarray(camera.world_to_camera, dtype=np.float64),
+        np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.near], dtype=np.float64),
+        camera.height,
+        camera.width,
+        *resolve_lowpass(splats, lowpass, antialias),
+        float(alpha_min),
+        visible_ids,
+    )  # fmt: skip
+
+
 def render(
     splats: ProjectableGaussians,
     camera: Camera,
@@ -144,17 +176,10 @@ def render(
 def _render(splats, camera, background, *, lowpass, antialias, alpha_min, depth):
     """Draw on the processor; background: (height, width, 3) float32."""
     shape = (camera.height, camera.width)
-    ellipses, looks, bounds, z = project(
-        *(np.ascontiguousarray(getattr(splats, f)) for f in ("x", "cov", "opacity", "color")),
-        np.ascontiguousarray(camera.world_to_camera, dtype=np.float64),
-        np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.near], dtype=np.float64),
-        *shape,
-        *resolve_lowpass(splats, lowpass, antialias),
-        float(alpha_min),
-    )
+    ellipses, looks, bounds, z = project_splats(splats, camera, lowpass, antialias, alpha_min)
     order, nx = depth_order(z), -(-camera.width // TILE)
     canvas = new_canvas(*shape)
-    blend_tiles(order, ellipses, looks, bounds, canvas, nx, False, None, None, None)
+    blend_tiles(order, ellipses, looks, bounds, canvas, nx, False, None, None)
     image = np.empty((*shape, 3), dtype=np.float32)
     transmittance = np.empty(shape, dtype=np.float32)
     picture(canvas, background, image, transmittance)
@@ -163,7 +188,7 @@ def _render(splats, camera, background, *, lowpass, antialias, alpha_min, depth)
     # a second pass draws depths for colors, so that pictures alone pay nothing for it
     looks[:, 2] = z
     canvas = new_canvas(*shape)
-    blend_tiles(order, ellipses, looks, bounds, canvas, nx, True, None, None, None)
+    blend_tiles(order, ellipses, looks, bounds, canvas, nx, True, None, None)
     depth_images = {kind: np.empty(shape, dtype=np.float32) for kind in DEPTHS}
     depths_of(canvas, depth_images["expected"], depth_images["median"])
     return image, transmittance, depth_images[depth]

@@ -47,32 +47,23 @@ class Light:
     contact: float = 0.5
 
 
-def shade(
-    splats: ProjectableGaussians, light: Light, spacing: float, liquid: np.ndarray | None = None
-) -> np.ndarray:
+def shade(splats: ProjectableGaussians, light: Light, spacing: float) -> np.ndarray:
     """Return the factors in 0..1 (n,) by which this light dims the Gaussians' colors.
 
     Args:
         splats: The Gaussians.
         light: The light.
         spacing: Distance of neighbors inside of bodies [m].
-        liquid: Mask (n,) of Gaussians of a liquid with a surface, or None. Light passes them, and
-            liquid_shading.py shades the liquid that is drawn for them.
     """
     factor = np.ones(len(splats.x))
     if not len(factor):
         return factor
     if light.shadow > 0:
-        blockers = splats
-        if liquid is not None:
-            blockers = replace(splats, opacity=np.where(liquid, 0.0, splats.opacity))
-        factor *= 1 - light.shadow * (1 - shadow_visibility(blockers, light))
-    rows = np.arange(len(factor)) if liquid is None else np.flatnonzero(~liquid)
-    if light.shade > 0 and len(rows):
+        factor *= 1 - light.shadow * (1 - shadow_visibility(splats, light))
+    if light.shade > 0:
         toward_light = -np.asarray(light.direction) / np.linalg.norm(light.direction)
-        factor[rows] *= 1 - light.shade * 0.5 * (
-            1 - outward_normals(splats.x[rows], spacing) @ toward_light
-        )
+        facing = outward_normals(splats.x, spacing) @ toward_light
+        factor *= 1 - light.shade * 0.5 * (1 - facing)
     return factor
 
 

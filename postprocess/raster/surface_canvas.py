@@ -4,9 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vgmpi.gaussians.camera import Camera
 from vgmpi.runtime.compile_cache import njit_cached
 
-from .tile_blend import TILE, uncleared_canvas
+from .projection import depth_order
+from .rasterize import ProjectableGaussians, project_splats
+from .tile_blend import TILE, blend_tiles, uncleared_canvas
 
 NUMBERS = 8  # of a pixel: transmittance, color, normal and median depth
 MATERIALS = 3  # further numbers of a pixel if the Gaussians are of several materials
@@ -25,6 +28,39 @@ class Surfaces(NamedTuple):
     rows: np.ndarray
     is_drawn: np.ndarray
     shape: tuple[int, int]
+
+
+def draw_surfaces(
+    splats: ProjectableGaussians, camera: Camera, normal: np.ndarray, material: np.ndarray,
+    lowpass: float | None, antialias: bool | None, alpha_min: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    """Draw colors, normals, materials and depths in one pass.
+
+    Args:
+        splats: The Gaussians.
+        camera: Camera of the picture.
+        normal, material: Of every Gaussian, shape (n, 3).
+        lowpass, antialias, alpha_min: Options of rasterize.render.
+
+    Returns:
+        Colors, normals and materials weighted by opacity, shape (height, width, 3),
+        transmittance and median depth [m], shape (height, width), float32.
+    """
+    shape, visible_ids = (camera.height, camera.width), np.empty(len(splats.x), np.int64)
+    *rows, z = project_splats(splats, camera, lowpass, antialias, alpha_min, visible_ids)
+    visible_ids = visible_ids[: len(z)]
+    material = material[visible_ids].astype(np.float32)
+    is_mixed = len(material) > 0 and bool((material != material[0]).any())
+    only = material[0] if len(material) else np.zeros(3, np.float32)
+    canvas, drawn = surface_canvas(normal[visible_ids], z.astype(np.float32), is_mixed, *shape)
+    blend_tiles(
+        depth_order(z), *rows, canvas, -(-shape[1] // TILE), False, drawn,
+        material if is_mixed else None,
+    )  # fmt: skip
+    pictures = np.zeros((3, *shape, 3), np.float32)
+    through, median = (np.full(shape, n, np.float32) for n in (1, np.inf))
+    surfaces_of(canvas, drawn.is_drawn, only, pictures, through, median)
+    return *pictures, through, median
 
 
 def surface_canvas(

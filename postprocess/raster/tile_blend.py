@@ -13,12 +13,7 @@ nothing.
 
 Surfaces that are lit later (surface_canvas.py) are drawn in one pass: color, normal, material and
 median depth share the alphas of a Gaussian, and a canvas holds 16 numbers each of all of them.
-
-A picture in two layers, before and behind a surface, has a depth limit per pixel (`DepthSide`): a
-Gaussian leaves out the pixels for which its center lies on the other side.
 """
-
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -73,24 +68,6 @@ def _clear_tile(buf, t, height, width):
             buf[j * row + k] = _ONE if is_inside else -_ONE
 
 
-class DepthSide(NamedTuple):
-    """One side of a depth limit per pixel."""
-
-    depth: np.ndarray  # (n,) float32 [m] depths of the Gaussians
-    limit: np.ndarray  # (tiles, 256) float32 [m] depth limit per pixel, see `to_tiles`
-    is_behind: bool  # whether the side behind the limit is drawn, or else before it
-
-
-def to_tiles(limit: np.ndarray) -> np.ndarray:
-    """Return depths (height, width) in the order of a canvas: float32 (tiles, 256), 0 beyond."""
-    height, width = limit.shape
-    ny, nx = -(-height // TILE), -(-width // TILE)
-    padded = np.zeros((ny * TILE, nx * TILE), dtype=np.float32)
-    padded[:height, :width] = limit
-    tiles = padded.reshape(ny, TILE, nx, TILE).swapaxes(1, 2)
-    return np.ascontiguousarray(tiles.reshape(ny * nx, TILE * TILE))
-
-
 @njit(inline="always")
 def _alpha(s, opacity, level):
     """Return a Gaussian's alpha at a pixel: min(0.99, opacity e^-s), 0 beyond its level."""
@@ -107,12 +84,8 @@ def _alpha(s, opacity, level):
 
 
 @njit_cached(nogil=True, error_model="numpy", fastmath={"contract", "nsz", "nnan", "ninf"})
-def _blend_row(buf, start, first, a, b, c, opacity, level, color, limits, z, is_behind):
-    """Blend one Gaussian into a row of 16 pixels: s is a X^2 + b X + c, X = first + 0 .. 15.
-
-    limits, z, is_behind: None, or depth limits of the tile's pixels, depth of the Gaussian, and
-    whether it is drawn where it lies behind the limit, or else before it.
-    """
+def _blend_row(buf, start, first, a, b, c, opacity, level, color):
+    """Blend one Gaussian into a row of 16 pixels: s is a X^2 + b X + c, X = first + 0 .. 15."""
     red, green, blue = color
     if start < 0:  # excludes negative indices, whose handling would keep the loop scalar
         return
@@ -120,8 +93,6 @@ def _blend_row(buf, start, first, a, b, c, opacity, level, color, limits, z, is_
         X = np.float32(k) + first
         s = c + X * (a * X + b)
         alpha = _alpha(s, opacity, level)
-        if limits is not None:
-            alpha = alpha if (z >= limits[start // 4 + k]) == is_behind else _ZERO
         before = buf[start + k]
         w = alpha * before
         after = before - w
@@ -134,7 +105,7 @@ def _blend_row(buf, start, first, a, b, c, opacity, level, color, limits, z, is_
 
 
 @njit_cached(nogil=True, error_model="numpy", fastmath={"contract", "nsz", "nnan", "ninf"})
-def _blend_depth_row(buf, start, first, a, b, c, opacity, level, depth, limits, z, is_behind):
+def _blend_depth_row(buf, start, first, a, b, c, opacity, level, depth):
     """Blend a Gaussian's depth into a row: weighted sum and depth of half transmittance."""
     if start < 0:
         return
@@ -142,8 +113,6 @@ def _blend_depth_row(buf, start, first, a, b, c, opacity, level, depth, limits, 
         X = np.float32(k) + first
         s = c + X * (a * X + b)
         alpha = _alpha(s, opacity, level)
-        if limits is not None:
-            alpha = alpha if (z >= limits[start // 4 + k]) == is_behind else _ZERO
         before = buf[start + k]
         w = alpha * before
         after = before - w
@@ -189,14 +158,12 @@ def _blend_surface_row(buf, start, first, a, b, c, opacity, level, color, surfac
 
 
 @njit_cached(nogil=True, error_model="numpy")
-def _draw_tile(
-    buf, items, ellipses, looks, left, top, depths, limits, z, is_behind, surface, materials
-):
+def _draw_tile(buf, items, ellipses, looks, left, top, depths, surface, materials):
     """Draw the Gaussians of a batch in one tile and return whether any pixel is still open.
 
-    depths: whether `looks` hold a depth for red, and depths are drawn instead of colors. limits,
-    z, is_behind: as for a row, with the depths of all Gaussians of the batch. surface, materials:
-    None, or normals and depths, and materials of all Gaussians of the batch, which are drawn too.
+    depths: whether `looks` hold a depth for red, and depths are drawn instead of colors. surface,
+    materials: None, or normals and depths, and materials of all Gaussians of the batch, which are
+    drawn too.
     """
     row = len(buf) // TILE
     first, last = _open_rows(buf)
@@ -220,7 +187,7 @@ def _draw_tile(
         first_x, first_y = np.float32(left + 0.5 - rx), np.float32(top + 0.5 - ry)
         fa, fb, fc = np.float32(a), np.float32(b), np.float32(c)
         opacity, level, red, green, blue = looks[p]
-        color, own = (red, green, blue), None if limits is None else z[p]
+        color = (red, green, blue)
         material = None if materials is None else materials[p]
         for j in range(y0, y1 + 1):
             Y = np.float32(j) + first_y
@@ -232,13 +199,11 @@ def _draw_tile(
                 )  # fmt: skip
             elif depths:
                 _blend_depth_row(
-                    buf, j * row, first_x, fa, sx + fb * Y, constant, opacity, level, red,
-                    limits, own, is_behind,
+                    buf, j * row, first_x, fa, sx + fb * Y, constant, opacity, level, red
                 )  # fmt: skip
             else:
                 _blend_row(
-                    buf, j * row, first_x, fa, sx + fb * Y, constant, opacity, level, color,
-                    limits, own, is_behind,
+                    buf, j * row, first_x, fa, sx + fb * Y, constant, opacity, level, color
                 )  # fmt: skip
     return _open_rows(buf)[1] >= 0
 
@@ -297,12 +262,12 @@ def _touch_open_tiles(order, bounds, is_open, nx, boxes, chosen, starts):
 
 
 @njit_cached(nogil=True, error_model="numpy")
-def blend_tiles(order, ellipses, looks, bounds, canvas, nx, depths, side, surface, materials):
+def blend_tiles(order, ellipses, looks, bounds, canvas, nx, depths, surface, materials):
     """Blend Gaussians (see project) into a canvas (tiles, numbers), nx tiles wide.
 
     Args:
         order, ellipses, looks, bounds: Order from near to far; rows of `ProjectedGaussians`.
-        canvas, nx, depths, side: (in/out), width in tiles, whether red is a depth, Side or None.
+        canvas, nx, depths: (in/out), width in tiles, whether red is a depth.
         surface: None, or Surfaces with their canvas.
         materials: Their materials, shape (n, 3), or None if all have one.
     """
@@ -328,7 +293,6 @@ def blend_tiles(order, ellipses, looks, bounds, canvas, nx, depths, side, surfac
         if starts[tiles] > len(items):
             items = np.empty(2 * starts[tiles], dtype=np.int32)
         _assign_tiles(boxes[:active], is_open, nx, fill, items)
-        depth = None if side is None else side.depth[chosen[:active]]
         own_surface = None if surface is None else surface.rows[chosen[:active]]
         own_materials = None if materials is None else materials[chosen[:active]]
         for t in range(tiles):
@@ -338,16 +302,10 @@ def blend_tiles(order, ellipses, looks, bounds, canvas, nx, depths, side, surfac
                 if surface is not None and not surface.is_drawn[t]:
                     surface.is_drawn[t] = 1
                     _clear_tile(canvas[t], t, *surface.shape)
-                if side is None:
-                    is_open[t] = _draw_tile(
-                        canvas[t], own, batch[0], batch[1], left, top, depths, None, None, None,
-                        own_surface, own_materials,
-                    )  # fmt: skip
-                else:
-                    is_open[t] = _draw_tile(
-                        canvas[t], own, batch[0], batch[1], left, top, depths,
-                        side.limit[t], depth, side.is_behind, own_surface, own_materials,
-                    )  # fmt: skip
+                is_open[t] = _draw_tile(
+                    canvas[t], own, batch[0], batch[1], left, top, depths, own_surface,
+                    own_materials,
+                )  # fmt: skip
 
 
 @njit_cached(nogil=True, error_model="numpy")

@@ -19,8 +19,8 @@ from ..frames.appearance import Appearance
 from ..frames.frame_gaussians import GaussianBatch
 from ..frames.particle_optics import optical_values
 from ..frames.render_config import Settings
-from ..raster.liquid_surface import LayeredImage
 from ..raster.rasterize import ProjectableGaussians, join_gaussians, supersampled_camera
+from ..raster.surface_canvas import draw_surfaces
 from . import (
     body_normals,
     compositing,
@@ -370,10 +370,9 @@ class Studio:
             return empty, empty, empty, np.ones(shape, np.float32)
         size = np.linalg.norm(normal, axis=1, keepdims=True)
         normal = 0.5 + 0.5 * normal / np.maximum(size, 1.0)
-        layers = LayeredImage(
-            splats, fine, options["lowpass"], options["antialias"], options["alpha_min"]
+        albedo, normals, kinds, transmit, view.depth[:] = draw_surfaces(
+            splats, fine, normal, kind, **options
         )
-        albedo, normals, kinds, transmit, view.depth[:] = layers.surfaces(normal, kind)
         return albedo, normals, kinds, transmit
 
 

@@ -3,16 +3,14 @@
 It measures seconds per image of an object like those of Gaussian generators: a lumpy ball of flat
 discs (opacity 0.95, plain colors) that fills most of an image of 800 x 800 pixels, half of its
 kernels on the closed surface and half inside, drawn from 12 sides by the calls of a video. With
---fluid all Gaussians are faint spheres (opacity 0.02, alpha_min 1e-4), which occlude nothing; with
---surface they are a liquid with a surface. Processor time is measured, because other work on the
-machine disturbs it less.
+--fluid all Gaussians are faint spheres (opacity 0.02, alpha_min 1e-4), which occlude nothing.
+Processor time is measured, because other work on the machine disturbs it less.
 """
 
 import argparse
 import multiprocessing
 import sys
 import time
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,10 +18,7 @@ import numpy as np
 from vgmpi.gaussians.camera import Camera, look_at, orbit_eye
 from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
 from vgmpi.postprocess.frames.appearance import Appearance
-from vgmpi.postprocess.frames.render_config import LiquidSettings
-from vgmpi.postprocess.frames.run_liquids import Liquids
 from vgmpi.postprocess.raster import rasterize
-from vgmpi.postprocess.raster.shadow_lighting import Light
 
 # kernels: seconds on an A100 (Table I)
 PAPER_SECONDS = {71_000: 0.07, 191_000: 0.13, 368_000: 0.26}
@@ -105,9 +100,9 @@ def rotation_gradient(angle: float) -> np.ndarray:
 
 
 class Subject:
-    """The object and 12 cameras around it. surface: whether a fluid gets a surface."""
+    """The object and 12 cameras around it."""
 
-    def __init__(self, kernels: int, fluid: bool = False, surface: bool = False):
+    def __init__(self, kernels: int, fluid: bool = False):
         gaussians, x = lumpy_ball(kernels, fluid)
         family = "fluid" if fluid else "solid"
         entry = {
@@ -122,9 +117,6 @@ class Subject:
         F = np.tile(rotation_gradient(0).astype("f4"), (kernels, 1))
         J = np.ones(kernels, dtype="f4")
         self.frame = {"id": np.arange(kernels), "positions": x, "F": F, "J": J}
-        box = (np.full(3, -0.5), np.full(3, 0.5))
-        chosen = (LiquidSettings(), Light(), lambda: box, Path())
-        self.liquids = Liquids(self.look, *chosen) if surface else None
 
     @staticmethod
     def camera(number: int) -> Camera:
@@ -135,35 +127,22 @@ class Subject:
     def draw(self, number: int) -> tuple[float, float, np.ndarray]:
         """Return seconds of processor time to Gaussians and to pixels, and the image."""
         camera = self.camera(number % CAMERAS)
-        if self.liquids is not None:
-            return self._draw_surface(camera)
         begin = time.process_time()
         splats = self.look.splats(self.frame, camera.eye)
         between = time.process_time()
         image, _ = rasterize.render(splats, camera, alpha_min=self.alpha_min)
         return between - begin, time.process_time() - between, image
 
-    def _draw_surface(self, camera: Camera) -> tuple[float, float, np.ndarray]:
-        """Draw a liquid with a surface."""
-        background = np.ones((SIZE, SIZE, 3), dtype=np.float32)
-        options = {"lowpass": 0.3, "antialias": False, "alpha_min": rasterize.ALPHA_MIN}
-        begin = time.process_time()
-        parts = self.look.parts(self.frame)
-        between = time.process_time()
-        image, _ = self.liquids.render(self.frame, parts, camera, background, None, **options)
-        return between - begin, time.process_time() - between, image
 
-
-def measured(kernels: int, rounds: int, fluid: bool = False, surface: bool = False) -> np.ndarray:
+def measured(kernels: int, rounds: int, fluid: bool = False) -> np.ndarray:
     """Measure seconds of processor time to Gaussians and to pixels, (12 rounds, 2).
 
     Args:
         kernels: Number of Gaussians.
         rounds: Number of times that each side is drawn.
         fluid: Whether the object is a fluid.
-        surface: Whether the fluid gets a surface.
     """
-    subject = Subject(kernels, fluid, surface)
+    subject = Subject(kernels, fluid)
     subject.draw(0)  # this call compiles, or loads compiled code
     return np.array([subject.draw(number)[:2] for number in range(rounds * CAMERAS)])
 
@@ -216,7 +195,6 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument("--rounds", type=int, default=3, help="times that each side is drawn [3]")
     p.add_argument("--fluid", action="store_true", help="faint balls instead of a solid body")
-    p.add_argument("--surface", action="store_true", help="a liquid with a surface instead")
     p.add_argument("--jobs", type=int, default=1, help="measure the gain of this many processes")
     return p
 
@@ -236,10 +214,9 @@ def main(argv: list[str] | None = None) -> int:
     print(f"{SIZE} x {SIZE} pixels, {CAMERAS} cameras, seconds of processor time per picture")
     print("                    median                              minimum   paper's")
     print(" kernels  to Gaussians   to pixels       both   asked       both      A100")
-    fluid = args.fluid or args.surface
-    tables = ({}, {}) if fluid else (TARGET_SECONDS, PAPER_SECONDS)
+    tables = ({}, {}) if args.fluid else (TARGET_SECONDS, PAPER_SECONDS)
     for kernels in args.kernels:
-        seconds = measured(kernels, args.rounds, fluid, args.surface)
+        seconds = measured(kernels, args.rounds, args.fluid)
         to_gaussians, to_pixels = np.median(seconds, axis=0)
         both = seconds.sum(axis=1)
         target, paper = (f"{table[kernels]:.2f}" if kernels in table else "-" for table in tables)

@@ -8,16 +8,26 @@ the light's picture is 2.6 mm here, the Gaussians reach 4 mm beyond their middle
 import numpy as np
 import pytest
 
-from tests.postprocess.test_liquid import balls
 from tests.support import drawn_runs
 from vgmpi.gaussians.camera import look_at
+from vgmpi.gaussians.cloud import pack_symmetric
 from vgmpi.io.run_reader import RunReader
 from vgmpi.postprocess.frames.appearance import Appearance, _random
 from vgmpi.postprocess.frames.render_config import LookSettings, SettingsError
 from vgmpi.postprocess.raster import ground_plane, shadow_lighting
+from vgmpi.postprocess.raster.rasterize import ProjectableGaussians
 
 SHEET = np.stack(np.meshgrid(*(np.linspace(-0.5, 0.5, 161),) * 2, [0.0]), -1).reshape(-1, 3)
 R, HIGH = 0.1, 0.3
+
+
+def balls(x, sd, color, opacity=0.95):
+    """Gaussians at x (n, 3) of one standard deviation [m] and color."""
+    x = np.atleast_2d(np.asarray(x, dtype=np.float64))
+    cov = np.tile(pack_symmetric(sd**2 * np.eye(3)[None]), (len(x), 1))
+    return ProjectableGaussians(
+        x, cov, np.full(len(x), opacity), np.tile(np.array(color, float), (len(x), 1))
+    )
 
 
 def sheet_and_ball():

@@ -48,35 +48,31 @@ def test_other_films_hold_the_pictures_in_order(tmp_path, suffix, width, height)
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
 
-SURFACE = """background = "#ddeeff"
+LIT = """background = "#ddeeff"
 floor = { height = 0 }
 [light]
-[liquid]
-absorption_length = 2
-[look]
-liquid = "surface"
 """
 
 
-def test_liquids_with_a_surface_on_any_number_of_processes(out, tmp_path):
-    draw(out, tmp_path, SURFACE, "-o", tmp_path / "one", "--depth", tmp_path / "depth")
-    draw(out, tmp_path, SURFACE, "-o", tmp_path / "two", "--jobs", 2)
-    draw(out, tmp_path, SURFACE.replace("surface", "gaussians"), "-o", tmp_path / "balls")
-    draw(out, tmp_path, "supersample = 2\n" + SURFACE, "-o", tmp_path / "fine")
+def test_a_floor_and_a_light_on_any_number_of_processes(out, tmp_path):
+    draw(out, tmp_path, LIT, "-o", tmp_path / "one", "--depth", tmp_path / "depth")
+    draw(out, tmp_path, LIT, "-o", tmp_path / "two", "--jobs", 2)
+    draw(out, tmp_path, LIT.replace("[light]\n", ""), "-o", tmp_path / "plain")
+    draw(out, tmp_path, "supersample = 2\n" + LIT, "-o", tmp_path / "fine")
     for k in range(4):
-        one, two, balls, fine = (
+        one, two, plain, fine = (
             iio.imread(tmp_path / name / f"frame_0000{k}.png").astype(int)
-            for name in ("one", "two", "balls", "fine")
+            for name in ("one", "two", "plain", "fine")
         )
-        assert (one == two).all() and np.abs(one - balls).max() > 30
+        assert (one == two).all() and np.abs(one - plain).max() > 30
         assert 0 < np.abs(one - fine).mean() < 8
         depth = np.load(tmp_path / "depth" / f"frame_0000{k}.npy")
         assert 0.5 < np.median(depth[np.isfinite(depth)]) < 5
 
 
 def test_an_environment_that_is_no_picture(out, tmp_path, capsys):
-    sky = '[look]\nliquid = "surface"\n[liquid.environment]\npicture = "sky.png"\n'
-    (tmp_path / "render.toml").write_text(drawn_runs.on_paper(SMALL + sky))
+    sky = '[liquid.environment]\npicture = "sky.png"\n'
+    (tmp_path / "render.toml").write_text(SMALL + sky)
     assert render.main([str(out), str(tmp_path / "render.toml"), "-q"]) == 2
     assert "liquid.environment.picture: " in capsys.readouterr().err
 

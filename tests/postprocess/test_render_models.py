@@ -32,7 +32,7 @@ from vgmpi.postprocess.commands import render
 from vgmpi.postprocess.frames import render_config
 from vgmpi.postprocess.frames.appearance import Appearance
 from vgmpi.postprocess.frames.frame_renderer import FrameRenderer
-from vgmpi.postprocess.raster import liquid_surface, rasterize
+from vgmpi.postprocess.raster import rasterize
 from vgmpi.postprocess.raster.shadow_lighting import Light, shadow_visibility
 from vgmpi.preprocess.pruning import image_similarity
 from vgmpi.preprocess.scene_builder import build_scene
@@ -94,8 +94,6 @@ def test_a_mixed_picture_is_that_of_the_dense_renderer(seed):
     error = np.abs(image - want)
     assert error.mean() < 1e-6 and np.quantile(error, 0.999) < 1e-5
     assert np.abs(through - left).max() < 5e-3
-    layers = liquid_surface.LayeredImage(mixed, seen, None, None, rasterize.ALPHA_MIN)
-    np.testing.assert_array_equal(layers.picture(np.ones((*through.shape, 3), "f4"))[0], image)
 
 
 def test_options_go_before_what_the_captures_say():

@@ -145,11 +145,11 @@ BAD = {
     ),
     "a degree too high": ("[look]\ncolor_sh_degree = 4", 2, "look.color_sh_degree", "less than"),
     "an unknown look": ("[look]\nopacitie = 1", 2, "look.opacitie", "did you mean 'opacity'?"),
-    "an unknown way of liquids": (
-        '[look]\nliquid = "glass"',
+    "an unknown preset": (
+        '[look]\npreset = "glass"',
         2,
-        "look.liquid",
-        "must be one of gaussians, surface; got 'glass'",
+        "look.preset",
+        "must be one of studio, paper; got 'glass'",
     ),
     "less than air refracts": (
         "[liquid]\nrefractive_index = 0.9",
@@ -344,13 +344,10 @@ def test_numbers_whose_squares_are_none(tmp_path, keys, says):
         ("", True, False),
         ('[look]\npreset = "studio"', True, True),
         ('[look]\npreset = "paper"', False, False),
-        ('[look]\nliquid = "surface"', True, False),
-        ('[look]\nliquid = "gaussians"', False, False),
-        ('[liquid]\nmethod = "filter"', False, False),
     ],
 )
 def test_who_draws(tmp_path, text, studio, on_paper):
-    """The studio, unless another way is asked for; and where paper is the default."""
+    """The studio, unless the other preset is asked for; and where paper is the default."""
     chosen = load(tmp_path, text)
     assert chosen.studio == studio and chosen.on_paper().studio == on_paper
 

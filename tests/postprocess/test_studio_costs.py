@@ -5,7 +5,7 @@ import pytest
 
 from tests.postprocess.test_studio_normals import BODY, CLEAR
 from tests.support import solid_runs, studio_scenes
-from vgmpi.postprocess.raster import liquid_surface
+from vgmpi.postprocess.raster import rasterize, surface_canvas
 from vgmpi.postprocess.raster.rasterize import ProjectableGaussians
 from vgmpi.postprocess.studio import cone_occlusion, deferred_shading, surface_edges
 
@@ -14,8 +14,8 @@ BOX = '[[object]]\nname = "thing"\nshape = { box = [[0.12, 0.12, 0.12], [0.28, 0
 
 def test_opaque_bodies_are_blended_once(tmp_path, monkeypatch):
     renderer = solid_runs.painter(solid_runs.write(tmp_path, BOX + BODY), tmp_path, CLEAR)
-    calls, blend = [], liquid_surface.blend_tiles
-    monkeypatch.setattr(liquid_surface, "blend_tiles", lambda *a: (calls.append(1), blend(*a))[1])
+    calls, blend = [], surface_canvas.blend_tiles
+    monkeypatch.setattr(surface_canvas, "blend_tiles", lambda *a: (calls.append(1), blend(*a))[1])
     renderer.views_of(0, 0.0)
     assert len(calls) == 1
 
@@ -32,18 +32,19 @@ def test_one_pass_over_surfaces_is_several(of_one_material):
     opacity = rng.uniform(0.1, 0.9, 300)
     camera = studio_scenes.oblique(50, (0.3, 0.3, 0.3), size=90)
 
-    def layers(values):
-        splats = ProjectableGaussians(x, cov, opacity, values)
-        return liquid_surface.LayeredImage(splats, camera, 0.3, False, 1 / 255)
+    def splats(values):
+        return ProjectableGaussians(x, cov, opacity, values)
 
-    *found, through, median = layers(color).surfaces(normal, material)
+    *found, through, median = surface_canvas.draw_surfaces(
+        splats(color), camera, normal, material, 0.3, False, 1 / 255
+    )
     assert (through == 1).mean() > 0.1 and (through < 0.5).mean() > 0.1
-    dark = np.zeros((90, 90, 3), np.float32)
+    options = {"lowpass": 0.3, "antialias": False, "alpha_min": 1 / 255, "depth": "median"}
     for got, values in zip(found, (color, normal, material)):
-        want, left = layers(values).picture(dark)
+        want, left, depth = rasterize.render(splats(values), camera, (0, 0, 0), **options)
         np.testing.assert_allclose(got, want, atol=1e-6)
         np.testing.assert_allclose(through, left, atol=1e-6)
-    np.testing.assert_array_equal(median, layers(color).depth())
+        np.testing.assert_array_equal(median, depth)
 
 
 def box_of_discs(count=40):

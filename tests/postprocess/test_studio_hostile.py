@@ -35,7 +35,6 @@ BAD = {
     ],
     "look.dust": NO_SHARE,
     "look.foam": NO_SHARE,
-    "liquid.method": NO_WORD,
     "liquid.cells_per_spacing": [*NO_NUMBER, "0.99", "4.01", "0"],
     "liquid.scattering_coefficient": [*NO_NUMBER, "-1e-9", "1e-300"],
     "liquid.clip_at_walls": [
