@@ -54,7 +54,7 @@ ANSWERS: dict[str, dict[str, str]] = {
         "groups_of_particles": "return np.array(plan.group_of)[owner]",
     },
     "vgmpi.kernels.grid.mixture_coupling": {},
-    "vgmpi.kernels.nodal_fields.color": {},
+    "vgmpi.kernels.nodal_fields.carried_values": {},
     "vgmpi.kernels.transfer.liquid_volume": {
         "clamp_to_unit": KEPT,
         "_gather_cell_divergence": KEPT,

@@ -69,9 +69,7 @@ def tables(ranks: int, blocks: float) -> dict:
 
 
 # one phase, nothing to touch: what the scene of the benchmark asks of the tables
-NEEDS = exchange_topology.TopologyRequirements(
-    np.zeros(1, np.int64), False, False, np.zeros(1, np.int64)
-)
+NEEDS = exchange_topology.TopologyRequirements(np.zeros(1, np.int64), False, False)
 
 
 class SilentCommunicator(SerialCommunicator):

@@ -34,7 +34,7 @@ def survey_files(files: Iterable[SourceFile]) -> Survey:
     """
     found: dict = defaultdict(dict)
     places: dict = defaultdict(list)
-    known, prose, links = ghosts.Definitions(), [], {}
+    known, prose, links, deferred = ghosts.Definitions(), [], {}, {}
     modules = frozenset(name_module(path) for path in list_files(*PROGRAM))
     for file in files:
         for limit, name, size in sizes.measure_sizes(file):
@@ -47,9 +47,10 @@ def survey_files(files: Iterable[SourceFile]) -> Survey:
         for name, find in FINDERS.items():
             places[name] += find(file)
         links[file.module] = imports.list_imports(file, modules.__contains__) & modules
+        deferred[file.module] = imports.list_deferred_imports(file, modules.__contains__)
         found["imports"][file.path] = len(links[file.module])
         prose.append((file.path, list(ghosts.read_prose(file)), known.add(file)))
-    places["modules of one importer"] = imports.find_single_importers(links)
+    places["modules of one importer"] = imports.find_single_importers(links, deferred)
     places["modules below 100 lines"] = [
         path
         for path, lines in found["lines of a file"].items()

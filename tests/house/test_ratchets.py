@@ -5,7 +5,7 @@ import warnings
 import pytest
 
 from tests.house import ratchet
-from tests.house.imports import find_single_importers
+from tests.house.imports import find_single_importers, list_deferred_imports
 from tests.house.source_file import SourceFile, list_files, name_module
 from tests.house.survey import Survey, survey_files, survey_program
 
@@ -164,6 +164,13 @@ def test_single_importers_are_found():
     """Of the same folder; y has two importers, and z's is elsewhere."""
     imports = {"v.a.x": {"v.a.w", "v.a.y"}, "v.a.w": {"v.a.y", "v.b.z"}, "v.b.z": {"numpy"}}
     assert find_single_importers(imports) == ["v.a.w <- v.a.x"]
+    assert not find_single_importers(imports, {"v.a.x": {"v.a.w"}})
+
+
+def test_a_module_that_a_function_loads_when_it_is_needed_is_deferred():
+    text = "import v.a\n\ndef start():\n    import v.a, v.b\n"
+    found = list_deferred_imports(SourceFile("v/x.py", text), {"v.a", "v.b"}.__contains__)
+    assert found == {"v.b"}
 
 
 DOCUMENT = '''

@@ -192,7 +192,7 @@ def random_census(seed, ranks, scattered, lattice=LATTICE, filled=(0.3, 0.3)):
     return table._replace(owner=owner)
 
 
-NEEDS = exchange_topology.TopologyRequirements(np.array([0, 1]), True, False, np.zeros(2, np.int64))
+NEEDS = exchange_topology.TopologyRequirements(np.array([0, 1]), True, False)
 
 
 def nodes_of(block):
@@ -282,7 +282,9 @@ def test_fields_near_bodies_travel_in_the_blocks_near_bodies_alone(scattered):
         return np.where(is_near, np.cumsum(is_near) - 1, -1)
 
     names = exchange_topology.NEAR_BODIES
-    needs = NEEDS._replace(near_colliders=names, at_surfaces=True)
+    both, region = np.ones(2, bool), exchange_topology.NEAR_SURFACES
+    places = tuple(exchange_topology.FieldPlace(name, both, region) for name in names)
+    needs = NEEDS._replace(fields=places, at_surfaces=True)
     whole, ranks = random_census(1, 3, scattered), range(3)
     built = [exchange_topology.build_topology(whole, LATTICE, r, needs, solid) for r in ranks]
     sent = 0

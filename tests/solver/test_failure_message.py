@@ -8,7 +8,13 @@ import pytest
 from tests.support.small_scenes import scene
 from vgmpi.kernels.step_records import AccumulatorOverflow, StepReport
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.parallel.exchange_topology import NEAR_BODIES, TopologyRequirements
+from vgmpi.parallel.exchange_topology import (
+    NEAR_BODIES,
+    PARTICLE_PRESSURE,
+    REST_VOLUME,
+    FieldPlace,
+    TopologyRequirements,
+)
 from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.solver.failure_message import failure_message
 from vgmpi.solver.initial_particles import known_of, plan_for
@@ -26,10 +32,10 @@ name = "pool"
 material = "water"
 shape = { box = [[0, 0, 0], [0.2, 0.2, 0.1]] }
 """
+NAMES = "shear", *NEAR_BODIES, PARTICLE_PRESSURE, REST_VOLUME, "color 0"
 NEEDS = TopologyRequirements(
-    np.zeros(1, np.int64), True, True, np.ones(1, np.int64), has_surface_friction=True,
-    volumes=np.ones(1, bool), near_colliders=NEAR_BODIES, pressure=True,
-)  # fmt: skip
+    np.zeros(1, np.int64), True, True, tuple(FieldPlace(n, np.ones(1, bool)) for n in NAMES)
+)
 
 
 @pytest.fixture(scope="module")

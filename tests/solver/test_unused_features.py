@@ -287,8 +287,8 @@ FEATURES = {
     "colors": (
         PLAIN + TRAVELS + MILK + RED,
         {"engine.layers.color 0", "tables.asked.color 0", "tables.contributes.color 0",
-         "engine.sets", "plan.colors"},
-        {"Color", "gather_color", "average_over_phases"},
+         "needs.fields", "plan.colors"},
+        {"ValuesByVolume", "gather_values", "average_over_phases"},
     ),
     "mixing": (PLAIN + MILK + BESIDE + COUPLED + 'kind = "mixing"\n', SHARED, MIXES),
     "drift": (
@@ -303,7 +303,7 @@ FEATURES = {
     "a solid to which it sticks": (
         PLAIN.replace("tait_coefficient", "viscosity = 1\ntait_coefficient", 1)
         + RUBBER + BESIDE + "slip_length = 0\n",
-        {"engine.layers.offsets", "features.solid_slip", "needs.sticking", *(
+        {"engine.layers.offsets", "features.solid_slip", "needs.fields", "needs.sticking", *(
             f"{owner}.velocity gradient {a}"
             for owner in ("engine.layers", "tables.asked", "tables.contributes") for a in "xyz"
         )},
@@ -318,7 +318,7 @@ FEATURES = {
     ),
     "a pinned part": (
         PLAIN + RUBBER + PINNED,
-        {"engine.layers.offsets", "features.pinned_parts", *(
+        {"engine.layers.offsets", "features.pinned_parts", "needs.fields", *(
             f"{owner}.velocity gradient {a}"
             for owner in ("engine.layers", "tables.asked", "tables.contributes") for a in "xyz"
         )},
@@ -332,7 +332,7 @@ FEATURES = {
     ),
     "an implicit pressure": (
         PLAIN.replace("[accuracy]", '[accuracy]\npressure = "implicit"'),
-        {"features.implicit_pressure", "engine.beside.displacement", *(
+        {"features.implicit_pressure", "engine.beside.displacement", "needs.fields", *(
             f"{owner}.particle pressure"
             for owner in ("engine.layers", "tables.asked", "tables.contributes")
         )},

@@ -24,6 +24,9 @@ PARTICLE_PRESSURE = "particle pressure"  # nodal field of an implicit pressure
 # nodal fields near free bodies: velocity gradients, mean pressure
 GRADIENTS = tuple(f"velocity gradient {a}" for a in "xyz")
 NEAR_BODIES = (*GRADIENTS, "mean pressure")
+# where a nodal field is summed: from all particles; from those that may touch another phase, a
+# collider or a wall; from those near colliders and near the blocks of features
+EVERYWHERE, NEAR_CONTACT, NEAR_SURFACES = "everywhere", "near contact", "near surfaces"
 _MARGIN = 4  # [blocks] margin of the dense maps around this rank's own blocks
 
 
@@ -70,44 +73,48 @@ class MixtureProximity(NamedTuple):
     every: bool  # True: separately everywhere, for all phases (FLIP)
 
 
+class FieldPlace(NamedTuple):
+    """Nodal field besides momentum and offsets: where it is summed, and from whose particles."""
+
+    name: str
+    groups: np.ndarray  # (groups,) bool, groups whose particles contribute
+    region: str = EVERYWHERE  # or NEAR_CONTACT, NEAR_SURFACES
+    is_timeless: bool = False  # a step of no time sums it, and no other step
+
+
 class TopologyRequirements(NamedTuple):
     """Requirements of a scene on the topology tables."""
 
     phase_of: np.ndarray  # (groups,) phase of each group
     contact: bool  # phases may touch at all
     apart: bool | MixtureProximity  # where stress impulses are summed separately; True: everywhere
-    hues: np.ndarray  # (groups,) color coefficients that are transferred in every step
+    fields: tuple[FieldPlace, ...] = ()
     surface: np.ndarray = np.zeros(0, bool)  # (phases,) True with surface descriptors
     planes: tuple[ContactWall, ...] = ()  # walls that act on such phases by contact
-    has_surface_friction: bool = False  # True if such a phase has friction against something
-    volumes: np.ndarray = np.zeros(0, bool)  # (phases,) True if rest volumes are summed
-    near_colliders: tuple[str, ...] = ()  # fields that are summed near surfaces alone
-    at_surfaces: bool = False  # these fields are summed in the blocks near colliders alone
-    pressure: bool = False  # the particles' pressure is summed
+    at_surfaces: bool = False  # fields near surfaces are summed in the blocks of colliders alone
     sticking: np.ndarray = np.zeros(0, bool)  # (phases,) True if a liquid sticks to a solid there
 
     @property
     def layers(self) -> list[str]:
         """Names of all nodal fields, in the order in which they are summed."""
-        hues = [color_field_name(k) for k in range(int(self.hues.max(initial=0)))]
-        more = ["impulses"] * bool(self.apart) + ["shear"] * self.has_surface_friction
-        more += [*self.near_colliders, *[PARTICLE_PRESSURE] * self.pressure]
-        return ["momentum", "offsets", *more, *[REST_VOLUME] * bool(self.volumes.any()), *hues]
+        impulses = ["impulses"] * bool(self.apart)
+        return ["momentum", "offsets", *impulses, *(field.name for field in self.fields)]
+
+    @property
+    def near_surfaces(self) -> list[str]:
+        """Names of the fields that are summed near surfaces alone."""
+        return [field.name for field in self.fields if field.region == NEAR_SURFACES]
 
     @property
     def timeless_layers(self) -> list[str]:
         """Names of the nodal fields that a step of no time sums."""
-        return [name for name in self.layers if name in ("momentum", REST_VOLUME)]
+        return ["momentum", *(field.name for field in self.fields if field.is_timeless)]
 
     @property
     def step_layers(self) -> list[str]:
         """Names of the nodal fields that a step sums."""
-        return [name for name in self.layers if name != REST_VOLUME]
-
-
-def color_field_name(coefficient: int) -> str:
-    """Return the name of the nodal field of a color coefficient."""
-    return f"color {coefficient}"
+        timeless = [field.name for field in self.fields if field.is_timeless]
+        return [name for name in self.layers if name not in timeless]
 
 
 def counting_owner(tables: ExchangeTopology, rank: int) -> np.ndarray:
@@ -216,7 +223,7 @@ def build_topology(
     contributes = _who_contributes(box, index, phase, census.group[rows], needs, solid)
     for feature in (feature for feature in features if feature.phases.any()):
         close_by = _by_solid(box, feature)[index] & feature.phases[phase]
-        contributes |= {name: contributes[name] | close_by for name in needs.near_colliders}
+        contributes |= {name: contributes[name] | close_by for name in needs.near_surfaces}
     is_own = box.full(False, bool)
     is_own[index[mine[rows]]] = True
     is_nearby = box.spread(is_own, np.logical_or)
@@ -250,7 +257,7 @@ def _tables(
     is_summed = {}  # field -> (node blocks,) bool, for the fields that are summed in some alone
     if needs.at_surfaces:
         is_near_solid = np.repeat(solid_of >= 0, np.diff(first))
-        is_summed = dict.fromkeys(needs.near_colliders, is_near_solid)
+        is_summed = dict.fromkeys(needs.near_surfaces, is_near_solid)
         active |= {name: active[name] & mask for name, mask in is_summed.items()}
     meets = ((np.diff(first) > 1) & needs.contact) | (solid_of >= 0) | _at_plane(blocks, needs)
     meets &= np.logical_or.reduceat(active["offsets"], new)
@@ -342,15 +349,10 @@ def _who_contributes(
         close_by = box.spread(_at_plane(box.every, needs), np.logical_or)[index]
         wanted = wanted | (close_by & needs.surface[phase])
     contributes["offsets"] = wanted
-    if needs.has_surface_friction:
-        contributes["shear"] = wanted & needs.surface[phase]
-    if needs.near_colliders:
-        at_solids = wanted & needs.sticking[phase] if needs.sticking.any() else ~every
-        contributes |= dict.fromkeys(needs.near_colliders, near_solid | at_solids)
-    if needs.volumes.any():
-        contributes[REST_VOLUME] = needs.volumes[phase]
-    for k in range(int(needs.hues.max(initial=0))):
-        contributes[color_field_name(k)] = needs.hues[group] > k
+    at_solids = wanted & needs.sticking[phase] if needs.sticking.any() else ~every
+    regions = {EVERYWHERE: every, NEAR_CONTACT: wanted, NEAR_SURFACES: near_solid | at_solids}
+    for field in needs.fields:
+        contributes[field.name] = regions[field.region] & field.groups[group]
     return contributes
 
 

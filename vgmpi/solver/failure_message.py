@@ -48,7 +48,7 @@ def failure_message(simulation: Any, report: StepReport) -> str:
         return f"object {departed}, {when}: {FAILURE_MESSAGES[g2p.OUT_OF_DOMAIN]}"
     *block, phase, field = min(map(tuple, rows.tolist()))
     spot = ", ".join(f"{(4 * b + 0.5) * plan.dx:.4g}" for b in block)
-    name = FIELD_NAMES[fields[field].split()[0]]
+    name = FIELD_NAMES.get(fields[field].split()[0], fields[field])
     return (
         f"phase '{plan.phases[phase].name}', near ({spot}) m, {when}: the {name} at a node"
         " is beyond what a sum can hold"

@@ -29,7 +29,7 @@ from vgmpi.parallel.load_balance import SHARES, RankPace
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.plan import Plan
 from vgmpi.solver.engines.engine_protocol import Engine
-from vgmpi.solver.engines.nodal_field_storage import fields_near_colliders
+from vgmpi.solver.engines.nodal_field_storage import field_requests
 from vgmpi.solver.engines.shift_tables import shift_constants
 from vgmpi.solver.engines.surface_fields import is_summed_at_surfaces
 
@@ -355,22 +355,14 @@ class Simulation:
 
 def topology_requirements(plan: Plan) -> exchange_topology.TopologyRequirements:
     """Return the requirements of the plan for the exchange tables."""
-    phase_of, color_counts = (np.array(rows, np.int64) for rows in zip(
-        *((group.phase, group.coefficients) for group in plan.groups), strict=True
-    ))  # fmt: skip
-    surface = np.array([phase.surface for phase in plan.phases])
     return exchange_topology.TopologyRequirements(
-        phase_of,
+        np.array([group.phase for group in plan.groups], np.int64),
         plan.contact,
         _separate_stress(plan),
-        color_counts,
-        surface,
+        tuple(request.place(plan) for request in field_requests(plan)),
+        np.array([phase.surface for phase in plan.phases]),
         plan.planes,
-        plan.has_surface_friction,
-        np.array([phase.fills_by_volume for phase in plan.phases]),
-        fields_near_colliders(plan),
         is_summed_at_surfaces(plan),
-        plan.implicit_pressure,
         np.array(() if plan.slip_of_solids is None else plan.slip_of_solids.phases, bool),
     )
 

@@ -15,7 +15,7 @@ particles with one base node is summed before it is added to the patch.
 """
 
 from vgmpi.kernels.nodal_fields import (  # noqa: F401  (contributions)
-    color,
+    carried_values,
     momentum,
     rest_volume,
     stress_impulse,

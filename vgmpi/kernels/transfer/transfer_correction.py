@@ -7,7 +7,7 @@ last steps has taken.
 from vgmpi.kernels.grid.sided_phases import average_sides
 from vgmpi.kernels.grid.update import momentum_to_velocity
 from vgmpi.kernels.kernel_arguments import NODE_MASS_FLOOR
-from vgmpi.kernels.nodal_fields.color import mean_over_set
+from vgmpi.kernels.nodal_fields.carried_values import mean_over_set
 from vgmpi.kernels.particle_records import (
     AFFINE,
     BATCH,

@@ -11,7 +11,7 @@ from vgmpi.kernels import particle_records, reproducible_sums
 from vgmpi.kernels.grid import contact_impulses, mixture_workspace, update
 from vgmpi.kernels.grid.sided_phases import sided_phases
 from vgmpi.kernels.kernel_arguments import NodeBlocks, Step, Sums
-from vgmpi.kernels.nodal_fields import color
+from vgmpi.kernels.nodal_fields import carried_values
 from vgmpi.kernels.reaction_impulses import GhostNodes
 from vgmpi.kernels.rigid.prescribed_motion import (
     NO_PRESCRIBED_BODIES,
@@ -34,7 +34,7 @@ from vgmpi.kernels.transfer import g2p, p2g, transfer_correction
 from vgmpi.kernels.transfer.particle_shifting import NodeFill, ShiftConstants
 from vgmpi.kernels.wall_boundary import KINDS, patch_codes
 from vgmpi.parallel.block_lattice import BITS, BlockLattice
-from vgmpi.parallel.exchange_topology import REST_VOLUME, ExchangeTopology, color_field_name
+from vgmpi.parallel.exchange_topology import REST_VOLUME, ExchangeTopology
 from vgmpi.parallel.halo_exchange import FieldMessage
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.plan import Plan
@@ -50,7 +50,7 @@ from .group_context import (
     particles_of,
 )
 from .kernel_caller import KernelCaller
-from .nodal_field_storage import NodalField, color_count, fields_of_couplings, nodal_fields
+from .nodal_field_storage import FieldRequests, NodalField, nodal_fields
 from .plan_tables import phase_sets, phase_table, wall_kinds_of, wall_table
 from .reaction_sums import ReactionAccumulators
 from .shift_tables import node_fill, with_colliders
@@ -84,9 +84,9 @@ class Cpu(KernelCaller):
         self.walls, self.phases = wall_table(plan), phase_table(plan)
         self.apart = any(group.apart for group in plan.groups)
         self.layers = {layer.name: layer for layer in nodal_fields(plan, self.apart, self.LAYER)}
-        self.hues = [self.layers[color_field_name(k)] for k in range(color_count(plan))]
+        self.requests = FieldRequests(plan)
+        self.number_of_field = {name: k for k, name in enumerate(self.layers)}
         self.words = reproducible_sums.accumulator_words(plan.real)
-        self.sets = np.zeros(0, np.int64) if plan.colors is None else plan.colors.set_of
         self.as_one = phase_sets(plan)
         # auxiliary nodal values that particles gather, by name
         has_change = plan.keeps is not None
@@ -219,9 +219,11 @@ class Cpu(KernelCaller):
 
     def _is_summed(self, name: str) -> bool:
         """Return whether particles contribute to a nodal field in the present step."""
-        if name == REST_VOLUME:
+        if name == "momentum":
+            return True
+        if name in self.requests.timeless:
             return self.shift is not None
-        return bool(self.dt) or name == "momentum"
+        return bool(self.dt)
 
     def _fill(self, thread: int, border: bool) -> None:
         dt = self.plan.real.type(self.dt)
@@ -263,7 +265,7 @@ class Cpu(KernelCaller):
         )  # fmt: skip
 
     def update(self, border: bool) -> None:
-        """Convert sums to velocities (gravity, couplings, contact, walls) and to mean colors."""
+        """Convert sums to velocities (gravity, couplings, contact, walls) and to mean values."""
         self.each(self._update, border)
 
     def _update(self, thread: int, border: bool) -> None:
@@ -293,16 +295,16 @@ class Cpu(KernelCaller):
             (), update.update, blocks, self.blocks, summed, shear, separate, self.plan.rules,
             self.walls, phases, rigid, self.room[thread], self.step, self.beyond[thread],
         )  # fmt: skip
-        for k, layer in enumerate(self.hues):
+        for name, carried in self.requests.carried.items():
             self.call_if_rows(
-                (), color.average_over_phases, blocks, self.blocks, layer.tables, self.sets,
-                self.beyond[thread], len(layers) - len(self.hues) + k,
+                (), carried_values.average_over_phases, blocks, self.blocks, layers[name].tables,
+                carried.set_of, self.beyond[thread], self.number_of_field[name],
             )  # fmt: skip
 
     def begin_coupling(self) -> NodeState:
         """Convert the sums that only couplings read to numbers, and return the nodes."""
         for number, (name, field) in enumerate(self.layers.items()):
-            if name in fields_of_couplings(self.plan):
+            if name in self.requests.of_couplings:
                 reproducible_sums.finalize_field(self.blocks, field.tables, self.beyond[0], number)
         return NodeState(
             self.layers["momentum"].nodes, self.layers, self.beside, self.tables, self.blocks,
@@ -341,11 +343,10 @@ class Cpu(KernelCaller):
             if plan.is_carried:
                 self._carry(g, rows, motion, report[thread])
                 continue
-            color_channel = plan.channels.first("color")
-            for k in range(plan.coefficients):
+            for name, channel in part.carried:
                 self.call_if_rows(
-                    (g,), color.gather_color, rows, color_channel + 3 * k, part.segments, particles,
-                    self.layers[color_field_name(k)].nodes, scratch,
+                    (g,), carried_values.gather_values, rows, channel, part.segments, particles,
+                    self.layers[name].nodes, scratch,
                 )  # fmt: skip
             auxiliary = auxiliary_gather_kind(self.plan, plan, self.beside, self.dt)
             self.call_if_rows(
@@ -381,7 +382,7 @@ class Cpu(KernelCaller):
         """Sums of rest volumes, if liquids of one phase differ in density, and their number."""
         if REST_VOLUME not in self.layers:
             return None, 0
-        return self.layers[REST_VOLUME].tables, list(self.layers).index(REST_VOLUME)
+        return self.layers[REST_VOLUME].tables, self.number_of_field[REST_VOLUME]
 
     def restore(self, times: int) -> list[AccumulatorOverflow]:
         """Add `times` the motion that a step of no time has taken from the particles."""

@@ -17,7 +17,12 @@ from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.phases_and_groups import GroupPlan
 from vgmpi.planning.plan import Plan
 
-from .nodal_field_storage import FieldContribution, contributions, timeless_contributions
+from .nodal_field_storage import (
+    FieldContribution,
+    FieldRequests,
+    contributions,
+    timeless_contributions,
+)
 from .reaction_sums import ReactionAccumulators
 from .surface_fields import SurfaceContributions, split_contributions
 from .thread_partition import ThreadPartition
@@ -31,6 +36,7 @@ class GroupContext(NamedTuple):
     partition: ThreadPartition  # segments of each thread
     contributions: list[FieldContribution]  # to the nodal fields
     timeless: list[FieldContribution]  # to the nodal fields in a step of no time
+    carried: list[tuple[str, int]]  # (nodal field, first channel) of the values that it takes back
     numbers: g2p.GroupConstants
     ghosts: GhostNodes | None  # ghost nodes, where reactions of walls are requested
     surface: SurfaceContributions | None  # contributions at the nodes next to free bodies alone
@@ -67,6 +73,7 @@ def group_context(
     return GroupContext(
         group, segments, partition, at_nodes,
         timeless_contributions(plan, group.plan, contributes, split),
+        FieldRequests(plan).carried_by(group.plan),
         numbers_of(plan, group.plan),
         None if reactions is None else reactions.ghosts(group.block, mirror), surface,
     )  # fmt: skip

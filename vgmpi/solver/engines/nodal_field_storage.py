@@ -1,14 +1,17 @@
 """Nodal fields of a scene: sums and values on this rank, and contributions of particles."""
 
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
+from vgmpi.features.field_request import CarriedValues, FieldRequest
 from vgmpi.kernels import reproducible_sums
 from vgmpi.kernels.kernel_arguments import Sums
 from vgmpi.kernels.nodal_fields import (
     body_fields,
-    color,
+    carried_values,
     momentum,
     rest_volume,
     stress_impulse,
@@ -19,9 +22,10 @@ from vgmpi.kernels.transfer import liquid_volume, pressure_transfer
 from vgmpi.parallel.exchange_topology import (
     GRADIENTS,
     NEAR_BODIES,
+    NEAR_CONTACT,
+    NEAR_SURFACES,
     PARTICLE_PRESSURE,
     REST_VOLUME,
-    color_field_name,
 )
 from vgmpi.planning.phases_and_groups import GroupPlan
 from vgmpi.planning.plan import Plan
@@ -91,9 +95,98 @@ class NodalField:
             self.tables = Sums(self.sums, self.rest, self.asked, self.nodes)
 
 
-def color_count(plan: Plan) -> int:
-    """Return the largest number of transported color coefficients of a group."""
-    return max((group.coefficients for group in plan.groups), default=0)
+def field_requests(plan: Plan) -> list[FieldRequest]:
+    """Return the requests for all nodal fields besides momentum, offsets and impulses."""
+    requests = []
+    if plan.has_surface_friction:
+        requests.append(
+            FieldRequest(
+                "shear",
+                partial(momentum.accumulator_range, plan),
+                lambda group: (
+                    velocity_gradient.surface_kind(plan, group)
+                    if group.surface and not group.carrier
+                    else None
+                ),
+                NEAR_CONTACT,
+            )
+        )
+    requests += [_field_near_surfaces(plan, name) for name in fields_near_colliders(plan)]
+    if plan.implicit_pressure:
+        requests.append(
+            FieldRequest(
+                PARTICLE_PRESSURE,
+                lambda _: pressure_transfer.accumulator_range(plan),
+                lambda group: pressure_transfer.kind(plan) if group.implicit_pressure else None,
+                is_for_couplings=True,
+            )
+        )
+    if any(phase.fills_by_volume for phase in plan.phases):
+        requests.append(
+            FieldRequest(
+                REST_VOLUME,
+                lambda _: rest_volume.accumulator_range(plan),
+                lambda group: (
+                    rest_volume.kind(plan) if plan.phases[group.phase].fills_by_volume else None
+                ),
+                is_timeless=True,
+            )
+        )
+    count = max((group.coefficients for group in plan.groups), default=0)
+    requests += [_color_field(plan, k) for k in range(count)]
+    return requests
+
+
+def _field_near_surfaces(plan: Plan, name: str) -> FieldRequest:
+    """Return the request for a velocity gradient or the mean pressure near surfaces."""
+    module = body_fields if name == "mean pressure" else momentum
+
+    def kind(group: GroupPlan) -> tuple | None:
+        if name not in near_colliders_of_group(plan, group):
+            return None
+        if name == "mean pressure":
+            return body_fields.mean_pressure_kind(plan)
+        return velocity_gradient.kind(plan, group, GRADIENTS.index(name))
+
+    ranges = partial(module.accumulator_range, plan)
+    return FieldRequest(name, ranges, kind, NEAR_SURFACES, is_for_couplings=True)
+
+
+def _color_field(plan: Plan, coefficient: int) -> FieldRequest:
+    """Return the request for a color coefficient that travels with the steps."""
+    assert plan.colors is not None
+    span = plan.colors.span[:, coefficient]
+
+    def channel(group: GroupPlan) -> int:
+        return group.channels.first("color") + 3 * coefficient
+
+    def kind(group: GroupPlan) -> tuple | None:
+        has_value = coefficient < group.coefficients and not group.carrier
+        return carried_values.kind(plan, channel(group)) if has_value else None
+
+    return FieldRequest(
+        f"color {coefficient}", lambda _: carried_values.accumulator_range(plan, span), kind,
+        carried=CarriedValues(plan.colors.set_of, channel),
+    )  # fmt: skip
+
+
+class FieldRequests:
+    """Requested nodal fields of a plan by what is done with them."""
+
+    def __init__(self, plan: Plan):
+        """Sort the requests of a plan."""
+        self.all = field_requests(plan)
+        self.timeless = frozenset(r.name for r in self.all if r.is_timeless)
+        self.of_couplings = frozenset(r.name for r in self.all if r.is_for_couplings)
+        self.carried = {r.name: r.carried for r in self.all if r.carried is not None}
+
+    def carried_by(self, group: GroupPlan) -> list[tuple[str, int]]:
+        """Return the fields whose values a group takes back, each with its first channel."""
+        return [
+            (request.name, request.carried.channel(group))
+            for request in self.all
+            if request.carried is not None and request.kind(group) is not None
+        ]
 
 
 def nodal_fields(plan: Plan, separate_stress: bool, field_class=NodalField) -> list[NodalField]:
@@ -106,35 +199,14 @@ def nodal_fields(plan: Plan, separate_stress: bool, field_class=NodalField) -> l
         separate_stress: Whether stress impulses are summed separately.
         field_class: Class of the fields.
     """
-    fields = [
-        field_class("momentum", lambda speed: momentum.accumulator_range(plan, speed), plan),
-        field_class("offsets", lambda _: surface_distance.accumulator_range(plan), plan),
-    ]
+    ranges: dict[str, Callable] = {
+        "momentum": partial(momentum.accumulator_range, plan),
+        "offsets": lambda _: surface_distance.accumulator_range(plan),
+    }
     if separate_stress:
-        fields.append(
-            field_class(
-                "impulses", lambda speed: stress_impulse.accumulator_range(plan, speed), plan
-            )
-        )
-    if plan.has_surface_friction:
-        fields.append(
-            field_class("shear", lambda speed: momentum.accumulator_range(plan, speed), plan)
-        )
-    for name in fields_near_colliders(plan):
-        make = body_fields if name == "mean pressure" else momentum
-        fields.append(
-            field_class(name, lambda speed, of=make: of.accumulator_range(plan, speed), plan)
-        )
-    if plan.implicit_pressure:
-        ranges = pressure_transfer.accumulator_range
-        fields.append(field_class(PARTICLE_PRESSURE, lambda _: ranges(plan), plan))
-    if any(phase.fills_by_volume for phase in plan.phases):
-        fields.append(field_class(REST_VOLUME, lambda _: rest_volume.accumulator_range(plan), plan))
-    for k in range(color_count(plan)):
-        fields.append(
-            field_class(color_field_name(k), lambda _, k=k: color.accumulator_range(plan, k), plan)
-        )
-    return fields
+        ranges["impulses"] = partial(stress_impulse.accumulator_range, plan)
+    ranges |= {request.name: request.accumulator_range for request in field_requests(plan)}
+    return [field_class(name, bounds, plan) for name, bounds in ranges.items()]
 
 
 def contributions(
@@ -159,31 +231,10 @@ def contributions(
     ]
     if group.cell_dilatation:
         result.append(FieldContribution("momentum", liquid_volume.cell_pressure_kind(plan), ~split))
-    if group.implicit_pressure:
-        chosen = contributes[PARTICLE_PRESSURE]
-        result.append(FieldContribution(PARTICLE_PRESSURE, pressure_transfer.kind(plan), chosen))
     if group.apart:
         result.append(FieldContribution("momentum", inert, split))
         result.append(FieldContribution("impulses", stress_impulse.kind(plan, group), split))
-    if plan.has_surface_friction and group.surface:
-        result.append(
-            FieldContribution(
-                "shear", velocity_gradient.surface_kind(plan, group), contributes["shear"]
-            )
-        )
-    for axis, name in enumerate(near_colliders_of_group(plan, group)):
-        kind = (
-            velocity_gradient.kind(plan, group, axis)
-            if axis < 3
-            else body_fields.mean_pressure_kind(plan)
-        )
-        result.append(FieldContribution(name, kind, contributes[name]))
-    for k in range(group.coefficients):
-        result.append(
-            FieldContribution(
-                color_field_name(k), color.kind(plan, group, k), contributes[color_field_name(k)]
-            )
-        )
+    result += _requested(plan, group, contributes, is_timeless=False)
     return [contribution for contribution in result if contribution.chosen.any()]
 
 
@@ -193,11 +244,6 @@ def fields_near_colliders(plan: Plan) -> tuple[str, ...]:
     names = frozenset(GRADIENTS if slips else ())
     names = names.union(*(feature.nodal_fields for feature in plan.features))
     return tuple(name for name in NEAR_BODIES if name in names)
-
-
-def fields_of_couplings(plan: Plan) -> tuple[str, ...]:
-    """Return the names of the nodal fields that couplings after the update alone read."""
-    return *fields_near_colliders(plan), *[PARTICLE_PRESSURE] * plan.implicit_pressure
 
 
 def near_colliders_of_group(plan: Plan, group: GroupPlan) -> tuple[str, ...]:
@@ -220,7 +266,15 @@ def timeless_contributions(
     """
     inert = momentum.contribution_kinds(plan, group)[1]
     result = [FieldContribution("momentum", inert, split | True)]
-    if plan.phases[group.phase].fills_by_volume:
-        kind = rest_volume.kind(plan)
-        result.append(FieldContribution(REST_VOLUME, kind, contributes[REST_VOLUME]))
-    return result
+    return result + _requested(plan, group, contributes, is_timeless=True)
+
+
+def _requested(
+    plan: Plan, group: GroupPlan, contributes: dict, is_timeless: bool
+) -> list[FieldContribution]:
+    """Return the contributions of a group to the requested fields of one sort of steps."""
+    return [
+        FieldContribution(request.name, kind, contributes[request.name])
+        for request in field_requests(plan)
+        if request.is_timeless == is_timeless and (kind := request.kind(group)) is not None
+    ]

@@ -17,7 +17,7 @@ from vgmpi.kernels.rigid.prescribed_motion import ROTATED_CHANNELS
 from vgmpi.kernels.transfer import g2p
 from vgmpi.kernels.transfer.particle_shifting import NodeFill, ShiftConstants
 from vgmpi.parallel.block_lattice import BITS
-from vgmpi.parallel.exchange_topology import ExchangeTopology, color_field_name
+from vgmpi.parallel.exchange_topology import ExchangeTopology
 from vgmpi.parallel.halo_exchange import FieldMessage
 from vgmpi.solver.engines.cpu import Cpu
 from vgmpi.solver.engines.engine_protocol import DITHER, AccumulatorOverflow, StepReport
@@ -237,7 +237,7 @@ class Cuda(Cpu):
 
     @with_device_context
     def update(self, border: bool) -> None:
-        """Convert sums to velocities (gravity, couplings, contact, walls) and to mean colors."""
+        """Convert sums to velocities (gravity, couplings, contact, walls) and to mean values."""
         blocks, copy = self.todo[border], self.copies.of_table
         momentum = self.layers["momentum"].tables
         if not self.dt:
@@ -264,10 +264,11 @@ class Cuda(Cpu):
             reactions, self.step,
             self.record.overflow,
         )  # fmt: skip
-        for k, layer in enumerate(self.hues):
+        for name, carried in self.requests.carried.items():
             self._half(
-                NODES, grid_kernels.blend, len(blocks), blocks, self.on_card, layer.tables,
-                copy(self.sets), self.record.overflow, len(self.layers) - len(self.hues) + k,
+                NODES, grid_kernels.blend, len(blocks), blocks, self.on_card,
+                self.layers[name].tables, copy(carried.set_of), self.record.overflow,
+                self.number_of_field[name],
             )  # fmt: skip
 
     def _fill_on_card(self) -> NodeFill | None:
@@ -316,12 +317,10 @@ class Cuda(Cpu):
                     motion, self.record.prescribed_maxima, self.record.failure,
                 )  # fmt: skip
             return
-        color_channel = plan.channels.first("color")
-        for k in range(plan.coefficients):
+        for name, channel in part.carried:
             self.wholes.launch(
-                count, PARTICLE, gather_kernels.take, work.all, color_channel + 3 * k,
-                work.segments,
-                group.on_card(MOVED), self.layers[color_field_name(k)].tables.nodes,
+                count, PARTICLE, gather_kernels.take, work.all, channel, work.segments,
+                group.on_card(MOVED), self.layers[name].tables.nodes,
             )  # fmt: skip
         auxiliary = auxiliary_gather_kind(self.plan, plan, self.auxiliary, self.dt)
         ghosts = copy(self._ghosts(part, 0))

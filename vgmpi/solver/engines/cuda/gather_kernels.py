@@ -149,13 +149,13 @@ def give_back(rows, times, segments, particles, velocity, dx, shift, ghosts):
 
 
 def take(rows, channel, segments, particles, nodes):
-    """Transfer colors to particles: kernels/nodal_fields/color.py.
+    """Transfer values to particles: kernels/nodal_fields/carried_values.py.
 
     Args:
         rows: Segments to process.
-        channel: First channel of the color.
+        channel: First channel of the values.
         segments, particles: Tables of the group; particles (in/out).
-        nodes: Nodal colors.
+        nodes: Nodal values.
     """
     real = cuda.shared.array(BESIDE, REAL)
     s = rows[number()]

@@ -12,7 +12,7 @@ from vgmpi.kernels.grid import update as grid
 from vgmpi.kernels.grid.contact_impulses import ContactWorkspace
 from vgmpi.kernels.grid.mixture_workspace import MixtureWorkspace as Members
 from vgmpi.kernels.grid.update import SeparatedStress
-from vgmpi.kernels.nodal_fields import color
+from vgmpi.kernels.nodal_fields import carried_values
 from vgmpi.kernels.reaction_impulses import GhostNodes, ReactionSums
 from vgmpi.kernels.reproducible_sums import finalize_node_block
 from vgmpi.kernels.simd import reproducible_add, row_ops, vector16
@@ -303,7 +303,7 @@ def settle(
 
 
 def blend(blocks, tables, layer, set_of, report, k):
-    """Compute mean colors: kernels/nodal_fields/color.py.
+    """Compute mean values: kernels/nodal_fields/carried_values.py.
 
     Args:
         blocks, tables: Node blocks to process, and table of node blocks.
@@ -313,7 +313,7 @@ def blend(blocks, tables, layer, set_of, report, k):
     """
     q = number()
     if q < len(blocks):
-        color.average_over_phases(blocks[q : q + 1], tables, layer, set_of, report, k)
+        carried_values.average_over_phases(blocks[q : q + 1], tables, layer, set_of, report, k)
 
 
 # ---- sums for other ranks -----------------------------------------------------------------------

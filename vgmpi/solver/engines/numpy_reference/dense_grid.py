@@ -10,6 +10,7 @@ from vgmpi.parallel.block_lattice import BLOCK_EDGE
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.phases_and_groups import PhasePlan
 from vgmpi.planning.plan import Plan
+from vgmpi.solver.engines.nodal_field_storage import FieldRequests
 
 PUSHING = "separate", "yielding"  # kinds of walls that let go
 
@@ -316,3 +317,40 @@ def _push_back(u: np.ndarray, axis: int, inward: float, friction: float) -> None
     size = np.linalg.norm(u, axis=-1)
     factor = np.maximum(size - friction * push, 0.0) / np.where(size > 0, size, 1.0)
     u *= np.where(hit, factor, 1.0)[..., None]
+
+
+class CarriedFields:
+    """Values that particles exchange through the grid and take back."""
+
+    def __init__(self, plan: Plan, dense: Dense):
+        """Create the fields of a plan, without values."""
+        self.dense, self.requests, self.phases = dense, FieldRequests(plan), len(plan.phases)
+        self.sums: dict[str, np.ndarray] = {}
+
+    def clear(self) -> None:
+        """Begin the sums of a step."""
+        shape = self.phases, *self.dense.shape, 4
+        self.sums = {name: np.zeros(shape) for name in self.requests.carried}
+
+    def sum(self, group: ParticleGroup, stencil: Stencil, volumes: np.ndarray) -> None:
+        """Add the values of a group, weighted by the volumes (n,) [m3] of its particles."""
+        for name, channel in self.requests.carried_by(group.plan):
+            values = group.f[channel : channel + 3, group.index()].T.astype(np.float64)
+            rows = volumes[:, None] * np.column_stack([values, np.ones(len(values))])
+            self.dense.sum(self.sums[name][group.plan.phase], stencil, rows)
+
+    def average(self) -> None:
+        """Replace sums by the mean over the phases of each set."""
+        for name, carried in self.requests.carried.items():
+            sums = self.sums[name]
+            for number in np.unique(carried.set_of[carried.set_of >= 0]):
+                total = sums[carried.set_of == number].sum(0)
+                some = total[..., 3:] > 0
+                mean = np.where(some, total / np.where(some, total[..., 3:], 1.0), 0.0)
+                sums[carried.set_of == number] = mean
+
+    def gather(self, group: ParticleGroup, stencil: Stencil) -> None:
+        """Set the values of a group to the mean around its particles."""
+        for name, channel in self.requests.carried_by(group.plan):
+            mean = self.dense.gather(self.sums[name][group.plan.phase], stencil)
+            group.f[channel : channel + 3, group.index()] = mean[:, :3].T

@@ -38,7 +38,7 @@ from vgmpi.solver.engines.numpy_reference.liquid_volume import (
 from .advection import advect
 from .collider_hold import ColliderHold
 from .contact import Contact
-from .dense_grid import Dense, Stencil, stencil_of
+from .dense_grid import CarriedFields, Dense, Stencil, stencil_of
 from .group_channels import (
     get_channel,
     kirchhoff_stress,
@@ -87,6 +87,7 @@ class Numpy(SurfaceNodes):
             self.sharing = MixtureCoupling(plan.rules, densities, self.dense)
         self.sums: ReactionSums | None = None
         self.apart = any(group.apart for group in plan.groups)
+        self.carried = CarriedFields(plan, self.dense)
         self.shifting = ParticleShifting(plan, self.dense)
 
     def open(self, wall: int) -> None:
@@ -147,7 +148,7 @@ class Numpy(SurfaceNodes):
     add = pack
 
     def fill(self, border: bool) -> None:
-        """Sum mass, momentum, separate impulses, volumes, offsets and colors of each phase."""
+        """Sum mass, momentum, separate impulses, volumes, offsets, carried values of each phase."""
         if border:
             return
         # In a step of no time stress gives no impulse, and the other sums are not read.
@@ -156,8 +157,7 @@ class Numpy(SurfaceNodes):
         self.momentum, self.forces, self.offset, self.shear = (
             np.zeros((n, *shape, 3)) for _ in range(4)
         )
-        count = max(group.coefficients for group in self.plan.groups)
-        self.hues = np.zeros((count, n, *shape, 4))
+        self.carried.clear()
         self.begin_fields()
         if self.sums is not None:
             self.sums.mass.clear()
@@ -212,13 +212,10 @@ class Numpy(SurfaceNodes):
             zeros = np.zeros((len(m), 3))
             dense.sum(self.offset[p], stencil, zeros, -volume[:, :, None] * np.eye(3))
         self.add_to_fields(group, stencil, self.dt)
-        for k in range(plan.coefficients):
-            color = get_channel(group, "color")[:, 3 * k : 3 * k + 3]
-            rows = (J * vol0[:, 0])[:, None] * np.column_stack([color, np.ones(len(m))])
-            dense.sum(self.hues[k, p], stencil, rows)
+        self.carried.sum(group, stencil, J * vol0[:, 0])
 
     def update(self, border: bool) -> None:
-        """Compute nodal velocities (gravity, couplings, contact, walls) and mean colors."""
+        """Compute nodal velocities (gravity, couplings, contact, walls) and mean values."""
         if border:
             return
         plan, dense = self.plan, self.dense
@@ -270,8 +267,7 @@ class Numpy(SurfaceNodes):
         if plan.keeps is not None:
             self.change = v - summed
         self.v = v
-        if plan.colors is not None:
-            self._blend(plan.colors.set_of)
+        self.carried.average()
 
     def _place_colliders(self) -> None:
         """Tell the contact where moving colliders, thin walls and attached nodes are."""
@@ -301,15 +297,6 @@ class Numpy(SurfaceNodes):
         if self.plan.keeps is not None:
             fields.append((self.change, self.kept))
         return fields
-
-    def _blend(self, set_of: np.ndarray) -> None:
-        for color in self.hues:
-            for code in np.unique(set_of[set_of >= 0]):
-                total = color[set_of == code].sum(0)
-                some = total[..., 3:] > 0
-                color[set_of == code] = np.where(
-                    some, total / np.where(some, total[..., 3:], 1.0), 0.0
-                )
 
     def gather(self, step: int) -> StepReport:
         """Update velocities, gradients, states and positions; return what bounds the next step."""
@@ -353,10 +340,7 @@ class Numpy(SurfaceNodes):
             carrier: Any = carrier_of(self.features, plan.carrier) or self.driven
             row = -1 if carrier is None else carrier.row_of_group(self.groups.index(group), p)
             return carry(group, carrier.motions, row, dense.dx, self.dt, step)
-        for k in range(plan.coefficients):
-            color = get_channel(group, "color")
-            color[:, 3 * k : 3 * k + 3] = dense.gather(self.hues[k, p], stencil)[:, :3]
-            put_channel(group, "color", color)
+        self.carried.gather(group, stencil)
         v, L = dense.gather(self.v[p], stencil), dense.gather_slopes(self.v[p], stencil)
         trace, transport = np.abs(np.trace(L, axis1=1, axis2=2)), v
         new_velocity = v

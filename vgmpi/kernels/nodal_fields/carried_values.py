@@ -1,10 +1,10 @@
-"""Color transfer through the grid in every step, as published: a PIC transfer of three numbers.
+"""Values that particles carry and exchange through the grid in every step: a PIC transfer.
 
     c_i = sum_p w_ip V_p c_p / sum_p w_ip V_p,     c_p <- sum_i w_ip c_i
 
-V_p is the current volume. There is a field per coefficient: red, green, blue times volume, and
-volume. Walls mirror no color: nodes beyond them are ordinary nodes, as in
-gaussians/color_diffusion.py, to which this is equal.
+V_p is the current volume. A field has three values times volume, and volume. Walls mirror no value:
+nodes beyond them are ordinary nodes. Transferred colors are such values, and equal to those of
+gaussians/color_diffusion.py.
 """
 
 from typing import NamedTuple
@@ -44,61 +44,64 @@ from .momentum import by_weights
 from .surface_distance import current_volumes
 
 
-class Color(NamedTuple):
-    """Contribution of one color coefficient."""
+class ValuesByVolume(NamedTuple):
+    """Contribution of three values, weighted by the current volume."""
 
     mirror: float  # code of nodal_fields/field_protocol.py
-    channel: float  # first of the coefficient's three channels
+    channel: float  # first of the three channels
 
 
-def kind(plan, group, coefficient: int) -> Color:
-    """Return the contribution of a group's particles to the field of a coefficient."""
-    first = group.channels.first("color") + 3 * coefficient
-    return Color(*(plan.real.type(v) for v in (MIRROR_NONE, first)))
+def kind(plan, channel: int) -> ValuesByVolume:
+    """Return the contribution of the values in three channels."""
+    return ValuesByVolume(*(plan.real.type(v) for v in (MIRROR_NONE, channel)))
 
 
-def accumulator_range(plan, coefficient: int) -> np.ndarray:
+def accumulator_range(plan, span: np.ndarray) -> np.ndarray:
     """Return the scales of the sums, powers of two, shape (phases, 4).
 
-    They are the volume of a cell times the largest color, and its volume.
+    They are the volume of a cell times the largest value, and its volume.
+
+    Args:
+        plan: Plan of the run.
+        span: Largest value of each phase, shape (phases,).
     """
     volume = next_power_of_two(plan.dx**3)
-    hue = volume * next_power_of_two(plan.colors.span[:, coefficient])
-    return np.stack([hue, hue, hue, np.full_like(hue, volume)], 1)
+    product = volume * next_power_of_two(span)
+    return np.stack([product, product, product, np.full_like(product, volume)], 1)
 
 
-@particle_contribution.of(Color)
-def _color(kind, law, count, offset, cap, f, extra, peak, records, dt):
+@particle_contribution.of(ValuesByVolume)
+def _values_by_volume(kind, law, count, offset, cap, f, extra, peak, records, dt):
     zero = broadcast(f, 0.0)
     current_volumes(law, count, offset, cap, f, extra)
     first = np.int64(kind.channel) * cap + offset
     for n in range(0, count, 16):
         p, volume = first + n, load(extra, n)
-        red, green, blue = load(f, p), load(f, p + cap), load(f, p + 2 * cap)
+        value, second, third = load(f, p), load(f, p + cap), load(f, p + 2 * cap)
         store_records(
             records,
             16 * n,
             (
-                volume * red, volume * green, volume * blue, volume, zero, zero, zero, zero,
+                volume * value, volume * second, volume * third, volume, zero, zero, zero, zero,
                 zero, zero, zero, zero, zero, zero, zero, zero,
             ),
         )  # fmt: skip
 
 
-accumulate.of(Color)(by_weights)
+accumulate.of(ValuesByVolume)(by_weights)
 
 
 @borrowing_kernel
 def average_over_phases(blocks, tables, layer, set_of, report, k):
-    """Compute the mean color at the nodes of some blocks, in place of sums.
+    """Compute the mean values at the nodes of some blocks, in place of sums.
 
     The mean is over all phases of a set.
 
     Args:
         blocks: Blocks to process, shape (n,).
         tables: Node blocks of the rank.
-        layer: Color sums (in/out).
-        set_of: (phases,) phases of one number exchange colors, -1: none.
+        layer: Sums of the field (in/out).
+        set_of: (phases,) phases of one number share the mean, -1: none.
         report, k: Accumulator overflows (in/out) and number of the field, see
         kernels/reproducible_sums.py.
     """
@@ -144,14 +147,14 @@ def mean_over_set(nb, last, group, phase, set_of, nodes):
 
 
 @kernel
-def gather_color(rows, channel, segments, particles, nodes, scratch):
-    """Gather a color coefficient from the grid, at the positions before particles move.
+def gather_values(rows, channel, segments, particles, nodes, scratch):
+    """Gather three values from the grid, at the positions before particles move.
 
     Args:
         rows: Segments to process, shape (n,).
-        channel: First of the coefficient's three channels.
+        channel: First of the three channels.
         segments, particles: Segment table and particle arrays (in/out) of the group.
-        nodes: Mean colors, shape (node blocks, 256).
+        nodes: Mean values, shape (node blocks, 256).
         scratch: Scratch of the calling thread.
     """
     cap = particles.f.shape[1]
@@ -170,8 +173,8 @@ def gather_color(rows, channel, segments, particles, nodes, scratch):
             gather_value(n, records, weights, base, patch)
             zero_padding(n, records)
             for m in range(0, n, 16):
-                red, green, blue = load_records(records, 16 * m)[:3]
+                value, second, third = load_records(records, 16 * m)[:3]
                 p = channel * cap + offset + m
-                store(f, p, red)
-                store(f, p + cap, green)
-                store(f, p + 2 * cap, blue)
+                store(f, p, value)
+                store(f, p + cap, second)
+                store(f, p + 2 * cap, third)
