@@ -10,7 +10,7 @@ import pytest
 
 from tests.support.simulate import advance, begin, by_id, totals
 from vgmpi.kernels.step_records import StepSpan
-from vgmpi.scene.loads import mean_ramp_factor
+from vgmpi.scene.keyframes import mean_ramp_factor
 
 BLOCK = """
 [accuracy]

@@ -29,7 +29,7 @@ def begin(
     loaded = scene(folder, text)
     made = build_scene(loaded)
     plan = plan_for(loaded, known_of(loaded, made))
-    simulation = Simulation(plan, ranks, made.colliders, threads, made.loads, engine)
+    simulation = Simulation(plan, ranks, made.colliders, threads, engine)
     n = len(made.x)
     mine = slice(n * ranks.rank // ranks.size, n * (ranks.rank + 1) // ranks.size)
     v = made.v0 if velocity is None else velocity(made.x)

@@ -38,7 +38,6 @@ class StartContext(NamedTuple):
     collider_nodes: Any  # colliders at the nodes (MovingColliders, StaticColliders), or None
     movers: Any  # colliders that are evaluated in every step (MovingColliders), or None
     prescribed: Any  # prescribed bodies (PrescribedBodies), or None
-    loads: Sequence  # as prepared
     threads: int
     first_reaction_row: int  # row of its first reaction
     features: Mapping[str, "ActiveFeature"]  # of the run; those before it have started
@@ -112,6 +111,9 @@ class ActiveFeature:
     is_fixed = True
     correction_origin = 0
     margin = 0.0
+
+    def compile_kernels(self) -> None:
+        """Compile, by calls without rows, the kernels that a first step may not call."""
 
     # ---- start and restart -----------------------------------------------------------------------
 
@@ -219,6 +221,13 @@ class ActiveFeature:
     def conserved(self, time: float) -> dict[str, float]:
         """Return columns of the conservation log that the particles do not have; on rank 0."""
         return {}
+
+    def external_impulse(self, t0: float, t1: float) -> np.ndarray:
+        """Return the impulse (3,) [N s] that it gave all particles between two times [s].
+
+        It is that from outside, besides gravity and the reactions of colliders and walls.
+        """
+        return np.zeros(3)
 
     def reaction_points(self) -> np.ndarray:
         """Return the present reference points of its reactions, shape (rows, 3) [m]."""

@@ -7,7 +7,7 @@ from .active_feature import ActiveFeature, StartContext
 # name in Simulation.features -> module and function that starts it; None: its plan does
 STARTS: dict[str, tuple[str, str] | None] = {
     "flow_accounting": ("inlets_outlets.flow_accounting", "start"),
-    "loads": ("loads.coupling", "start"),
+    "loads": None,
     "moving_colliders": ("moving_colliders.coupling", "start"),
     "implicit_pressure": ("implicit_pressure.coupling", "start"),
     "collider_slip": ("surface_slip.coupling", "start_collider_slip"),

@@ -33,6 +33,7 @@ class FeaturePlan:
         has_momentum: Whether momentum and energy of its own are in the conservation log.
         step_limit: What makes steps shorter than at the start, for reports, or "".
         uncounted_groups: Groups whose momentum and energy something else counts.
+        drives_motion: Whether bodies reach speeds that gravity alone does not give them.
     """
 
     name = ""
@@ -43,6 +44,7 @@ class FeaturePlan:
     collider_title = step_limit = ""
     counted = 0, "", ""
     uncounted_groups: frozenset[int] = frozenset()
+    drives_motion = False
 
     def contributes(self, phase: int) -> bool:
         """Return whether the particles of a phase contribute to its nodal fields."""
@@ -76,6 +78,10 @@ class FeaturePlan:
         """Return a line on each thing of it that will hardly do what is meant."""
         return []
 
+    def for_compilation(self) -> "FeaturePlan | None":
+        """Return the plan of a run that only compiles kernels, or None to leave it out."""
+        return None
+
     def start(self, context: Any) -> Any:
         """Return the feature as it acts in a run, an `ActiveFeature`.
 
@@ -86,7 +92,7 @@ class FeaturePlan:
 
 
 class PlanDraft(NamedTuple):
-    """What features plan from, and may change: phases and groups, with those of features last."""
+    """Draft of a plan, which features may change: phases and groups, those of features last."""
 
     scene: Any
     phases: tuple  # of `PhasePlan`

@@ -15,7 +15,7 @@ import numpy as np
 from vgmpi.materials.couplings.interaction import MIXING, InteractionRules
 from vgmpi.materials.material import law_function
 from vgmpi.scene.gravity import Keys, gravity_at, gravity_keys, mean_gravity
-from vgmpi.scene.loads import mean_ramp_factor
+from vgmpi.scene.keyframes import mean_ramp_factor
 from vgmpi.scene.scene import Scene
 from vgmpi.scene.sections import Accuracy
 

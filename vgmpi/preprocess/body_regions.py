@@ -118,3 +118,9 @@ def densities_of(objects: list[dict], owner: np.ndarray) -> np.ndarray:
             first = part["first_row"]
             densities[first : first + part["row_count"]] = part["density"]
     return densities
+
+
+def index_runs(chosen: np.ndarray) -> np.ndarray:
+    """Return first and last index (m, 2) of each run of true values of `chosen` (n,)."""
+    edges = np.diff(np.concatenate([[0], chosen.astype(np.int8), [0]]))
+    return np.stack([np.flatnonzero(edges > 0), np.flatnonzero(edges < 0) - 1], 1)

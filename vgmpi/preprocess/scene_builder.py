@@ -31,7 +31,6 @@ from .built_object import BuiltObject, bind_passive, with_surface_descriptor
 from .collider_sdf import Collider, ShapeCollider, with_free_body, with_motion, with_shell
 from .initial_conditions import apply_initial_conditions, initial_velocity
 from .initial_overlaps import subtract_objects, warn_of_overlaps
-from .load_targets import ResolvedLoad, resolve_loads
 from .motion_checks import (
     validate_body_motion,
     validate_collider_motion,
@@ -101,7 +100,6 @@ class PreparedScene:
     objects: list[dict[str, Any]]
     colliders: list[Collider]
     theta0: np.ndarray  # (n,) ln J at the start
-    loads: list[ResolvedLoad]
     passive: Passive | None = None
     surface0: np.ndarray | None = (
         None  # (n, 10) see planning/particle_channels.py, None if not needed
@@ -115,8 +113,8 @@ def build_scene(scene: Scene) -> PreparedScene:
     """Make all particles of a scene.
 
     Raises:
-        SceneError: All objects that cannot be made or do not fit into the memory, and loads that
-            act on nothing.
+        SceneError: All objects that cannot be made or do not fit into the memory, and what features
+            cannot prepare.
     """
     memory_estimate.require_memory_for_shapes(scene)
     inlet_particles.require_inlet_memory(scene)
@@ -250,7 +248,6 @@ def _join(scene: Scene, pieces: list[BuiltObject]) -> PreparedScene:
         objects=objects,
         colliders=colliders,
         theta0=_rows(pieces, bodies, _theta),
-        loads=resolve_loads(scene, x, vol0, owner, objects),
         passive=_passive_gaussians(pieces, objects, terms),
         surface0=_surfaces(pieces, bodies),
         features=features,

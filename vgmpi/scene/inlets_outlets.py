@@ -180,25 +180,19 @@ def validate_outlet(raw: dict, inlets: list[Any]) -> list[tuple[tuple, str]]:
     return errors
 
 
-def validate_balance(
-    probes: list[Any], flows: bool, objects: list[Any], loads: list[Any]
-) -> list[tuple[tuple, str]]:
+def validate_balance(probes: list[Any], flows: bool, objects: list[Any]) -> list[tuple[tuple, str]]:
     """Return (path, message) of probes that measure by a balance of momentum which is not closed.
 
     Args:
         probes: Probes of the scene, None in place of invalid ones.
         flows: Whether particles enter or leave the domain.
         objects: Objects of the scene, None in place of invalid ones.
-        loads: Loads of the scene, None in place of invalid ones.
     """
     prescribed = any(obj and obj.driven for obj in objects)
-    damped = any(load and load.damping is not None for load in loads)
-    if not (flows or prescribed or damped):
+    if not (flows or prescribed):
         return []
     message = "is not for scenes where particles come or go: these are no part of its balance"
     if prescribed:
         message = "is not for scenes with bodies that are driven: what drives them is no part of it"
-    elif damped:
-        message = "is not for scenes with a load of damping: its force is no part of the balance"
     every = enumerate(probes)
     return [(("probe", k, "wall"), message) for k, probe in every if probe and probe.wall == "all"]

@@ -5,10 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from vgmpi.runtime.config.schema import Length, Point, Positive, Quantity, StrictModel
+from vgmpi.runtime.config.schema import Length, Point, Positive, Quantity, StrictModel, as_names
 from vgmpi.runtime.message_text import did_you_mean
 
-from .loads import as_list
 from .objects import Object, checked_name
 from .shapes import Axis
 
@@ -53,7 +52,9 @@ class Joint(StrictModel):
 
     name: Annotated[str, BeforeValidator(checked_name)] | None = None
     """unique name, for probes and messages"""
-    between: Annotated[tuple[str, ...], BeforeValidator(as_list), Field(min_length=1, max_length=2)]
+    between: Annotated[
+        tuple[str, ...], BeforeValidator(as_names), Field(min_length=1, max_length=2)
+    ]
     """one or two names of objects with rigid = true. With one name, the other side is the world.
     One of two may be scenery with collider = true, moving or at rest. Bodies that a joint connects
     do not collide with each other, unless it is a spring"""

@@ -19,15 +19,22 @@ from . import accuracy_presets
 from .gravity import validate_gravity
 from .inlets_outlets import Inlet, Outlet, validate_balance, validate_inlet, validate_outlet
 from .joints import joint_names, read_joints
-from .loads import Load, validate_load
 from .object_files import find_object_file
 from .objects import Object, validate_body_name, validate_object, validate_release
 from .probes import Probe, collider_names, validate_probe
 from .regions import validate_region_kinds
 from .rigid_objects import as_collider, validate_bodies, validate_rigid_probes, validate_rigid_scene
 from .scene import Scene, miscible_materials, phase_of
-from .scene_feature import check_object, features, object_table
-from .sections import SECTIONS, Appearance, Domain, Output, TopLevelKeys, validate_cell_counts
+from .scene_feature import (
+    SceneFeature,
+    SceneTables,
+    check_object,
+    features,
+    object_table,
+    section_tables,
+    table_lists,
+)
+from .sections import Appearance, Domain, Output, TopLevelKeys, validate_cell_counts
 from .slip_lengths import validate_slip_lengths
 from .subtraction import validate_subtractions
 from .thin_walls import validate_thin_scene
@@ -37,7 +44,7 @@ SCENE_RULES = (
     validate_rigid_scene, validate_slip_lengths, validate_region_kinds, validate_thin_scene,
     validate_subtractions,
 )  # fmt: skip
-LISTS = ("object", "coupling", "joint", "load", "probe", "inlet", "outlet")
+LISTS = ("object", "coupling", "joint", "probe", "inlet", "outlet")
 
 
 def load(
@@ -87,7 +94,7 @@ class SceneLoader:
         )
         tables = {
             name: self.table(table, data.get(name, {}), (name,))
-            for name, table in SECTIONS.items()
+            for name, table in section_tables().items()
             if name in data or name not in REQUIRED
         }
         kinds = self.materials(data.get("material", {}))
@@ -108,9 +115,9 @@ class SceneLoader:
             self.report(("domain", *inner), message)
         fluid = any(m is None or m.family == "fluid" for m in kinds.values())
         size = (domain := tables.get("domain")) and domain.size
-        loads = self.table_list(
-            data.get("load", []), "load", Load, lambda raw, load: validate_load(raw, load, role)
-        )
+        read = SceneTables(tables, kinds, objects, {}, lambda path: self.source.place(path)[1])
+        for feature in features():
+            self.lists_of(feature, data, read)
         colliders, named = collider_names(objects), joint_names(joints)
         probes = self.table_list(
             data.get("probe", []), "probe", Probe,
@@ -120,7 +127,9 @@ class SceneLoader:
             data.get("outlet", []), "outlet", Outlet, lambda raw, _: validate_outlet(raw, inlets)
         )
         flows = bool(inlets or outlets or (domain and domain.open_walls))
-        self.errors += validate_balance(probes, flows, objects, loads)
+        self.errors += validate_balance(probes, flows, objects)
+        for feature in features():
+            self.errors += feature.check_probes(probes, read)
         self.errors += validate_rigid_probes(probes, objects, bool(inlets))
         if domain:
             self.errors += validate_cell_counts(domain)
@@ -131,14 +140,15 @@ class SceneLoader:
             path=self.source.path, folder=self.source.folder, text=self.source.text,
             title=top.title, seed=top.seed, material=kinds,
             object=tuple(as_collider(obj, kinds.get(obj.material)) for obj in objects),
-            coupling=tuple(pairs), load=tuple(loads), probe=tuple(probes), inlet=tuple(inlets),
-            outlet=tuple(outlets), joint=tuple(joints), files=files, overrides=overrides,
+            coupling=tuple(pairs), probe=tuple(probes), inlet=tuple(inlets),
+            outlet=tuple(outlets), joint=tuple(joints), files=files,
+            lists={name: tuple(items) for name, items in read.lists.items()}, overrides=overrides,
             source=self.source, **tables,
         )  # fmt: skip
 
     def check_keys(self, data: dict) -> None:
         """Report unknown keys at the top of the file and required tables that are missing."""
-        valid = (*TopLevelKeys.model_fields, *SECTIONS, "material", *LISTS)
+        valid = (*TopLevelKeys.model_fields, *section_tables(), "material", *LISTS, *table_lists())
         for key in data:
             if key not in valid:
                 hint = did_you_mean(key, valid) or f"; known: {', '.join(valid)}"
@@ -296,6 +306,32 @@ class SceneLoader:
             for inner, message in complaints(item, tables[k]):
                 self.report((name, k, *inner), message)
         return tables
+
+    def lists_of(self, feature: SceneFeature, data: dict, read: SceneTables) -> None:
+        """Read the lists of a feature.
+
+        Args:
+            feature: The feature.
+            data: Tables of the scene as read.
+            read: Those that are read; the lists are added (in/out).
+        """
+        for name, tables in feature.lists.items():
+            raw = data.get(name, [])
+            if not isinstance(raw, list) or not all(isinstance(item, dict) for item in raw):
+                self.report((name,), f"must be a list of tables: [[{name}]]")
+                raw = []
+            common, first = tables.tables.get(""), dict[str, int]()
+            read.lists[name] = []
+            for k, item in enumerate(raw):
+                path = (name, k)
+                table = (
+                    self.table(common, item, path)
+                    if common
+                    else self.kind(tables.tables, item, path)
+                )
+                read.lists[name].append(table)
+                self.check_unique_name(name, k, item, first)
+            self.errors += feature.check_list(name, raw, read)
 
     def inlets(
         self, raw: Any, kinds: dict[str, Any], tables: dict[str, Any], objects: list[Any]

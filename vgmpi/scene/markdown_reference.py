@@ -17,7 +17,6 @@ from . import (
     inlet_geometry,
     inlets_outlets,
     joints,
-    loads,
     objects,
     point_sets,
     probes,
@@ -27,7 +26,7 @@ from . import (
     sections,
     shapes,
 )
-from .scene_feature import features, object_table
+from .scene_feature import features, object_table, section_tables, table_lists
 
 _INTRO = """# The scene file
 
@@ -73,7 +72,7 @@ scene's folder and must lie in it, unless `allow_outside = true` is set or the p
 def scene_reference() -> str:
     """Return the text of docs/reference/scene.md."""
     parts = [_INTRO, _section("Top of the file", sections.TopLevelKeys)]
-    for name, table in sections.SECTIONS.items():
+    for name, table in section_tables().items():
         parts.append(_section(f"[{name}]", table))
     parts.append(_section("[domain] gravity_keyframes", gravity.GravityKeyframe))
     parts.append(_section("[domain] boundary", sections.Boundary))
@@ -112,7 +111,12 @@ def scene_reference() -> str:
     parts.append(_section("[[inlet]] disc", inlet_geometry.Disc))
     parts.append(_section("[[inlet]] rectangle", inlet_geometry.Rectangle))
     parts.append(_section("[[outlet]]", inlets_outlets.Outlet))
-    parts.append(_section("[[load]]", loads.Load))
+    for name, tables in table_lists().items():
+        parts += [
+            _section(f"[[{name}]]" + (f' kind = "{kind}"' if kind else ""), table)
+            for kind, table in tables.tables.items()
+        ]
+        parts += [_section(f"[[{name}]] {title}", t) for title, t in tables.sections.items()]
     parts.append(_section("[[probe]]", probes.Probe))
     parts.append(_restart_section())
     return "\n".join(parts)

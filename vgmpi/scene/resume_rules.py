@@ -8,8 +8,8 @@ from pydantic import BaseModel
 from vgmpi.runtime.config.schema import ChangeableOnResume
 
 from .scene import Scene
-from .scene_feature import features
-from .sections import SECTIONS, TopLevelKeys
+from .scene_feature import features, section_tables
+from .sections import TopLevelKeys
 
 # Lists whose items may be added or removed; an item that stays must not change.
 LISTS = {
@@ -21,7 +21,7 @@ LISTS = {
 def may_change() -> dict[str, str]:
     """Return the keys that may change at a restart, with the effects: {"time.end": ...}."""
     effects = {}
-    tables: dict[str, type[BaseModel]] = {"": TopLevelKeys, **SECTIONS}
+    tables: dict[str, type[BaseModel]] = {"": TopLevelKeys, **section_tables()}
     for section, table in tables.items():
         for name, field in table.model_fields.items():
             effect = next(
@@ -87,7 +87,7 @@ def forbidden_changes(scene: Scene, before: dict) -> list[tuple[tuple, str]]:
     now, allowed = scene.to_json(), may_change()
     differences: list[tuple[tuple, str]] = []
     for name in {**before, **now}:
-        old, new = before.get(name), now.get(name)
+        old, new = before.get(name, []), now.get(name, [])  # empty lists may be left out
         if isinstance(old, list) and isinstance(new, list):
             _compare_lists(name, old, new, name in allowed, differences)
         elif name not in allowed:

@@ -11,7 +11,6 @@ from vgmpi.runtime.config.toml_source import TomlSource
 
 from .inlets_outlets import Inlet, Outlet
 from .joints import Joint
-from .loads import Load
 from .objects import Object
 from .probes import Probe
 from .sections import SECTIONS, Accuracy, Appearance, Domain, Output, Time
@@ -23,9 +22,9 @@ DEFAULT_CFL, SMALL_CFL = 0.55, 0.4  # [-] default CFL number, and that of `coura
 class Scene:
     """Content of a scene file with defaults filled in, in SI units.
 
-    `object`, `inlet`, `joint` and `coupling` are in file order; `folder` contains the file; `text`
-    is the file's text without the overrides, which `overrides` lists. A scene of a table has its
-    values as JSON instead, and the folder in which the program runs.
+    `object`, `inlet`, `joint`, `coupling` and the lists of features are in file order; `folder`
+    contains the file; `text` is the file's text without the overrides, which `overrides` lists. A
+    scene of a table has its values as JSON instead, and the folder in which the program runs.
     """
 
     path: Path
@@ -38,7 +37,6 @@ class Scene:
     material: dict[str, Any]
     object: tuple[Object, ...]
     coupling: tuple[Any, ...] = ()
-    load: tuple[Load, ...] = ()
     probe: tuple[Probe, ...] = ()
     inlet: tuple[Inlet, ...] = ()
     outlet: tuple[Outlet, ...] = ()
@@ -46,6 +44,7 @@ class Scene:
     appearance: Appearance = Appearance()
     accuracy: Accuracy = Accuracy()
     output: Output = Output()
+    lists: dict[str, tuple[Any, ...]] = field(default_factory=dict)  # lists of features, by name
     files: dict[str, Path] = field(
         default_factory=dict
     )  # file of each object that has one, by object name
@@ -129,7 +128,7 @@ class Scene:
         tables = {name: getattr(self, name).model_dump(mode="json") for name in SECTIONS}
         tables["time"]["cfl"] = self.courant_number
         # Empty lists are left out, as in runs older than these tables.
-        entities = {"inlet": self.inlet, "outlet": self.outlet, "joint": self.joint}
+        entities = {"inlet": self.inlet, "outlet": self.outlet, "joint": self.joint, **self.lists}
         flows = {
             name: [x.model_dump(mode="json", exclude_none=True) for x in items]
             for name, items in entities.items()
@@ -142,7 +141,6 @@ class Scene:
             "material": {k: m.model_dump(mode="json") for k, m in self.material.items()},
             "object": [o.model_dump(mode="json", exclude_none=True) for o in self.object],
             "coupling": [c.model_dump(mode="json") for c in self.coupling],
-            "load": [x.model_dump(mode="json", exclude_none=True) for x in self.load],
             "probe": [p.model_dump(mode="json", exclude_none=True) for p in self.probe],
             **flows,
         }

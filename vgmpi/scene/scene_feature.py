@@ -6,7 +6,7 @@ its name in FEATURES, as a material is found by its file: the rooms below know t
 """
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -18,9 +18,10 @@ from pydantic import BaseModel, create_model
 from vgmpi.runtime.config.schema import StrictModel
 
 from .objects import Object
+from .sections import SECTIONS
 
 # In the order in which they act. It numbers groups and orders sums: it is part of the results.
-FEATURES = ("pinned_parts", "rigid_bodies")
+FEATURES = ("loads", "pinned_parts", "rigid_bodies")
 
 Errors = list[tuple[tuple, str]]  # (path of a key, message)
 
@@ -38,6 +39,30 @@ class InitialParticles(NamedTuple):
     entries: list[dict]  # of the objects and inlets in output files
 
 
+class TableList(NamedTuple):
+    """List of tables at the top of a scene, [[name]], whose items may have unique names."""
+
+    tables: Mapping[str, type[BaseModel]]  # class of the items by their key `kind`; by "": of all
+    sections: Mapping[str, type[BaseModel]] = {}  # tables inside these, for the reference, by title
+
+
+class SceneTables(NamedTuple):
+    """Tables of a scene as read so far, None in place of invalid ones."""
+
+    sections: Mapping[str, Any]  # by name
+    materials: Mapping[str, Any]  # by name
+    objects: list
+    lists: dict[str, list]  # lists of features by name; each is complete when the next is read
+    place: Callable[[tuple], str]  # path of a key -> "file:line"
+
+    @property
+    def roles(self) -> dict[str, str] | None:
+        """Return the roles of objects by name, None if one is invalid, see validate_body_name."""
+        if None in self.objects:
+            return None
+        return {obj.name: "rigid" if obj.rigid else obj.role for obj in self.objects}
+
+
 class SceneFeature:
     """Feature of scenes: its keys, their checks, and what is prepared and planned from them.
 
@@ -47,12 +72,16 @@ class SceneFeature:
         force_source: Its bodies whose forces can be probed, as a message names them, or "".
         object_keys: Table of the keys that it adds to [[object]]; all make particles of the start.
         sections: Tables inside these keys, for the reference, by title.
+        section_keys: Tables of the keys that it adds to [accuracy] and others, by their names.
+        lists: Lists of tables that it adds at the top, by name.
         missing_engines: Engines that cannot run it.
     """
 
     name = title = force_source = ""
     object_keys: type[StrictModel] = NoKeys
     sections: Mapping[str, type[BaseModel]] = {}
+    section_keys: Mapping[str, type[StrictModel]] = {}
+    lists: Mapping[str, TableList] = {}
     missing_engines: tuple[str, ...] = ()
 
     def keys_of(self, obj: Object) -> list[str]:
@@ -61,6 +90,25 @@ class SceneFeature:
 
     def check_object(self, raw: dict, is_scenery: bool) -> Errors:
         """Return the errors of one object as read, besides the values of its keys."""
+        return []
+
+    def check_list(self, name: str, raw: list[dict], tables: SceneTables) -> Errors:
+        """Return the errors of one of its lists, besides the values of its keys.
+
+        Args:
+            name: Name of the list.
+            raw: Its tables as read.
+            tables: Tables of the scene, with the list itself and those of features before.
+        """
+        return []
+
+    def check_probes(self, probes: list, tables: SceneTables) -> Errors:
+        """Return the errors of probes that measure what they cannot because of the feature.
+
+        Args:
+            probes: Probes, None in place of invalid ones.
+            tables: Tables of the scene.
+        """
         return []
 
     def check_scene(self, objects: list, materials: dict, couplings: list, accuracy: Any) -> Errors:
@@ -127,14 +175,36 @@ def feature_folders() -> list[str]:
     return [str(Path(inspect.getfile(type(feature))).parent) for feature in features()]
 
 
+def _with_keys(table: type[BaseModel], additions: list[type[StrictModel]]) -> type[BaseModel]:
+    """Return a table with the keys and checks of others behind its own."""
+    if not additions:
+        return table
+    about = {"__module__": __name__, "__doc__": table.__doc__}
+    base = (*reversed(additions), table)
+    return create_model(table.__name__, __base__=base, **about)  # type: ignore[call-overload]
+
+
 @cache
 def object_table() -> type[Object]:
     """Return the table [[object]] with the keys of all features."""
-    keys: dict[str, Any] = {}
-    for feature in features():
-        keys |= {k: (f.annotation, f) for k, f in feature.object_keys.model_fields.items()}
-    about = {"__module__": __name__, "__doc__": Object.__doc__}
-    return create_model("Object", __base__=Object, **about, **keys)  # type: ignore[call-overload]
+    keys = [feature.object_keys for feature in features() if feature.object_keys is not NoKeys]
+    return _with_keys(Object, keys)  # type: ignore[return-value]
+
+
+@cache
+def section_tables() -> dict[str, type[BaseModel]]:
+    """Return the tables of `SECTIONS` with the keys of all features."""
+    return {
+        name: _with_keys(
+            table, [f.section_keys[name] for f in features() if name in f.section_keys]
+        )
+        for name, table in SECTIONS.items()
+    }
+
+
+def table_lists() -> dict[str, TableList]:
+    """Return the lists of tables of all features by name, in the order of the features."""
+    return {name: tables for feature in features() for name, tables in feature.lists.items()}
 
 
 def check_object(raw: dict) -> Errors:

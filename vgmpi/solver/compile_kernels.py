@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 from tqdm import tqdm
 
-from vgmpi.kernels.transfer.apply_loads import push
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.halo_exchange import FieldMessage
 from vgmpi.planning.particle_channels import SURFACE
@@ -176,7 +175,9 @@ def _run(plan: Plan, calls: list[tuple] | None) -> None:
     """Run all kernels of a plan once, or append those of the step to `calls`."""
     middle = 0.5 * np.array(plan.cells) * plan.dx
     owners = np.array([k for k, g in enumerate(plan.group_of) if g >= 0 and plan.count[k]], int)
-    simulation = Simulation(replace(plan, sources=(), sinks=(), features=()), SerialCommunicator())
+    features = [each.for_compilation() for each in plan.features]
+    plan = replace(plan, sources=(), sinks=(), features=tuple(each for each in features if each))
+    simulation = Simulation(plan, SerialCommunicator())
     if calls is not None:
         vars(simulation.engine)["call_if_rows"] = lambda key, *call: calls.append(call)
     n = len(owners)
@@ -192,8 +193,9 @@ def _run(plan: Plan, calls: list[tuple] | None) -> None:
     if plan.shift_interval and plan.restores not in (0, plan.shift_interval):
         simulation.restore(dt)
     conservation_rows(simulation)
+    for feature in simulation.features.values():
+        feature.compile_kernels()
     for group in simulation.groups:
-        push(group.f, np.zeros(0, np.int64), np.zeros(3, plan.real))
         body_momentum(simulation, group, 0, 0)
     empty, masks = np.zeros(0, np.uint64), np.zeros(0, np.uint64)
     for name in simulation.needs.layers:

@@ -21,7 +21,6 @@ from vgmpi.planning.prescribed_bodies import Extents
 from vgmpi.planning.proximity import Proximity
 from vgmpi.planning.region_groups import region_plans
 from vgmpi.preprocess.initial_conditions import closed_box_tensions, liquid_weights
-from vgmpi.preprocess.load_targets import resolve_loads
 from vgmpi.preprocess.meshes import triangle_mesh
 from vgmpi.preprocess.motion_checks import extent, motion_steps
 from vgmpi.preprocess.setting_checks import holding_walls
@@ -40,7 +39,6 @@ class ParticleSummary:
     volume: list[float]
     center: list[list[float]]  # [m] center of mass
     colliders: list
-    loads: list
     shades: np.ndarray | None = None  # coefficient ranges of the transported colors
     thickness: tuple[float, ...] = ()  # [m] see plan.Plan
     surroundings: tuple[Proximity, ...] = ()
@@ -139,9 +137,8 @@ def _build_or_read(
             gaussians = read_gaussians(path)
             log.info("particles as prepared before: %s", path)
             particles, objects = (gaussians.x0, gaussians.vol0, gaussians.object), gaussians.objects
-            loads = resolve_loads(scene, *particles, objects)
             prepared, _ = prepare_features(scene, InitialParticles(*particles, objects), [])
-            summary = _summary_of(scene, objects, gaussians, gaussians.x0, [], loads)
+            summary = _summary_of(scene, objects, gaussians, gaussians.x0, [])
             return replace(summary, features=prepared), {}
         except RunError as error:
             if resumed:
@@ -207,11 +204,11 @@ def _report_unreadable(path: Path, resumed: bool) -> None:
 
 def known_of(scene: Scene, built) -> ParticleSummary:
     """Return the summary of the particles that `build_scene` made."""
-    summary = _summary_of(scene, built.objects, built, built.x, built.colliders, built.loads)
+    summary = _summary_of(scene, built.objects, built, built.x, built.colliders)
     return replace(summary, features=built.features)
 
 
-def _summary_of(scene, objects, particles, x, colliders, loads) -> ParticleSummary:
+def _summary_of(scene, objects, particles, x, colliders) -> ParticleSummary:
     """Summarize the particles for all ranks.
 
     Args:
@@ -220,7 +217,6 @@ def _summary_of(scene, objects, particles, x, colliders, loads) -> ParticleSumma
         particles: Particles with object (n,), vol0 (n,) [m3] and sh (n, K, 3).
         x: Positions, shape (n, 3) [m].
         colliders: Colliders of the scene.
-        loads: Loads and the particles that they act on.
     """
     object_of, volume, x = (np.asarray(rows) for rows in (particles.object, particles.vol0, x))
     total = np.bincount(object_of, volume, minlength=len(objects))
@@ -242,7 +238,6 @@ def _summary_of(scene, objects, particles, x, colliders, loads) -> ParticleSumma
         total.tolist(),
         center.tolist(),
         colliders,
-        loads,
         color_ranges,
         thickness,
         proximity,

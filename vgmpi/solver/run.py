@@ -66,9 +66,7 @@ def begin(
     """
     if options.engine == "cpu":
         compile_kernels(plan, ranks)
-    simulation = Simulation(
-        plan, ranks, summary.colliders, options.threads, summary.loads, options.engine
-    )
+    simulation = Simulation(plan, ranks, summary.colliders, options.threads, options.engine)
     if path is not None:
         with on_all(ranks, path, lambda: checkpoint.open(path)) as saved:
             restore(simulation, saved)

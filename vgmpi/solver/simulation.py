@@ -50,7 +50,7 @@ class Simulation:
 
     def __init__(
         self, plan: Plan, ranks: SerialCommunicator, colliders: Sequence = (), threads: int = 1,
-        loads: Sequence = (), engine: str = "cpu",
+        engine: str = "cpu",
     ):  # fmt: skip
         """Set up the engine and the features of the plan, without particles."""
         self.plan, self.ranks, self.pace = plan, ranks, RankPace(ranks)
@@ -67,7 +67,7 @@ class Simulation:
         self.features: dict[str, ActiveFeature] = {}
         context = StartContext(
             plan, self.lattice, ranks, self.groups, colliders, self.collider_nodes, movers,
-            prescribed, loads, threads, len(colliders) + len(plan.driven), self.features,
+            prescribed, threads, len(colliders) + len(plan.driven), self.features,
             self.engine, self.insert, self.find_particles,
         )  # fmt: skip
         start_features(context, self.features)

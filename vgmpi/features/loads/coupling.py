@@ -1,17 +1,17 @@
 """Body forces and impulses of a run, applied to the loaded particles of this rank."""
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
 from vgmpi.features.active_feature import ActiveFeature, StartContext
 from vgmpi.kernels.kernel_arguments import MAX_CELLS_PER_STEP
 from vgmpi.kernels.step_records import StepSpan
-from vgmpi.kernels.transfer.apply_loads import damp, push
 from vgmpi.parallel.particle_group import ParticleGroup
-from vgmpi.preprocess.load_targets import ResolvedLoad
+from vgmpi.runtime.jit import kernel
 from vgmpi.scene.rigid_motion import spin_tensor
+
+from .plan import ResolvedLoad
 
 
 class Loads(ActiveFeature):
@@ -22,12 +22,18 @@ class Loads(ActiveFeature):
     the order of the segments.
     """
 
-    def __init__(self, context: StartContext):
+    def __init__(self, loads: tuple[ResolvedLoad, ...], context: StartContext):
         """Hold the loads; `find_particles` locates their particles."""
-        self.loads: Sequence[ResolvedLoad] = context.loads
+        self.loads = loads
         self.plan, self.ranks, self.groups = context.plan, context.ranks, context.groups
         self.places: list[list[np.ndarray]] = []  # particle indices of each load in each group
         self.dv = np.zeros(3, self.plan.real)
+
+    def compile_kernels(self) -> None:
+        """Compile the kernels by calls without particles."""
+        none, real = np.zeros(0, np.int64), self.plan.real
+        for group in self.groups:
+            push(group.f, none, np.zeros(3, real))
 
     def find_particles(self, time: float) -> None:
         """Locate the particles of each load in the groups."""
@@ -144,17 +150,12 @@ class Loads(ActiveFeature):
                 bound += max(math.hypot(*strength(loaded, g.plan.density)) for g in self.groups)
         return bound
 
-    def total_impulse(self, t0: float, t1: float) -> np.ndarray:
+    def external_impulse(self, t0: float, t1: float) -> np.ndarray:
         """Return the impulse of all loads on all ranks between two times [s], shape (3,) [N s]."""
         total = np.zeros(3)
         for loaded in self.loads:
             total += loaded.load.amount(t0, t1, t1 - t0) * np.array(loaded.total)
         return total
-
-
-def start(context: StartContext) -> Loads | None:
-    """Return the loads of a run, or None if it has none."""
-    return Loads(context) if context.loads else None
 
 
 def strength(loaded: ResolvedLoad, density: float) -> tuple[float, float, float]:
@@ -175,3 +176,36 @@ def within(ids: np.ndarray, intervals: np.ndarray) -> np.ndarray:
     """Return a mask (n,) of the ids (n,) that lie in one of the inclusive intervals (m, 2)."""
     row = np.searchsorted(intervals[:, 0], ids, side="right") - 1
     return (row >= 0) & (ids <= intervals[row, 1])
+
+
+@kernel
+def push(f, indices, dv):
+    """Add a velocity change to some particles.
+
+    With linear transfers this is the grid force of these particles, m dv / dt each, spread by their
+    own weights.
+
+    Args:
+        f: Particle channels (in/out), shape (channels, cap).
+        indices: Particle indices, shape (n,).
+        dv: Velocity change, shape (3,) [m/s].
+    """
+    for a in range(3):
+        row, change = f[a], dv[a]
+        for p in indices:
+            row[p] += change
+
+
+@kernel
+def damp(f, indices, rows, factor):
+    """Scale some channels of some particles.
+
+    Args:
+        f: Particle channels (in/out), shape (channels, cap).
+        indices: Particle indices, shape (n,).
+        rows: Numbers of the channels, shape (m,).
+        factor: Fraction that is left [-].
+    """
+    for row in rows:
+        for p in indices:
+            f[row, p] *= factor

@@ -9,7 +9,7 @@ import numpy as np
 
 from vgmpi.gaussians.shape_distance import distance
 from vgmpi.kernels.rigid.free_bodies import RigidBody
-from vgmpi.preprocess.load_targets import index_runs
+from vgmpi.preprocess.body_regions import index_runs
 from vgmpi.preprocess.object_builder import spacing_of
 from vgmpi.preprocess.shape_sdf import contains
 from vgmpi.scene.rigid_motion import Trajectory

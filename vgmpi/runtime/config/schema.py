@@ -280,6 +280,11 @@ def as_list(value: Any) -> Any:
     return [value] if isinstance(value, dict) else value
 
 
+def as_names(value: Any) -> Any:
+    """Return a text as a list of it, and everything else as it is."""
+    return [value] if isinstance(value, str) else value
+
+
 def format_input(value: object) -> str:
     """Return the value as the user wrote it, shortened."""
     text = str(value).lower() if isinstance(value, bool) else repr(value)

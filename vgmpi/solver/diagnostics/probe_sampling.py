@@ -215,10 +215,9 @@ class Probes:
             return {}
         rate, dt = self._rate(probe, momentum)
         external_force = mass * self._gravity(dt) + self._force_of_changes(probe, dt)
-        loads: Any = self.simulation.features.get("loads")
-        if dt and loads is not None:
-            now = self.simulation.time
-            external_force = external_force + loads.total_impulse(now - dt, now) / dt
+        now = self.simulation.time
+        for feature in self.simulation.features.values() if dt else ():
+            external_force = external_force + feature.external_impulse(now - dt, now) / dt
         return _vector("momentum", momentum) | _vector("force", external_force - rate)
 
     def _force_of_changes(self, probe: Probe, dt: float) -> np.ndarray:

@@ -44,7 +44,7 @@ class Solver:
         """Begin the run again."""
         rows = self.prepared
         self.simulation = Simulation(
-            self.plan, SerialCommunicator(), rows.colliders, self.threads, rows.loads, "cpu"
+            self.plan, SerialCommunicator(), rows.colliders, self.threads, "cpu"
         )
         gradient = initial_velocity_gradient(self.scene, rows.x, rows.object)
         self.simulation.put(

@@ -1,14 +1,14 @@
 """Loads of a scene: forces, pressures and impulses on bodies."""
 
-import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BeforeValidator
 
-from vgmpi.runtime.config.schema import Quantity, StrictModel
-
-from .objects import validate_body_name, validate_exactly_one
-from .shapes import Shape, validate_shape
+from vgmpi.runtime.config.schema import Quantity, StrictModel, as_names
+from vgmpi.scene.keyframes import mean_ramp_factor
+from vgmpi.scene.objects import validate_body_name, validate_exactly_one
+from vgmpi.scene.scene_feature import Errors
+from vgmpi.scene.shapes import Shape, validate_shape
 
 Newton = Annotated[float, Quantity("N")]
 NewtonSecond = Annotated[float, Quantity("N s")]
@@ -29,11 +29,6 @@ IMPULSIVE = ("impulse", "delta_velocity", "delta_angular_velocity")  # they act 
 STRENGTHS = (*SUSTAINED, *IMPULSIVE)
 
 
-def as_list(value: Any) -> Any:
-    """Return a text as a list of one; other values as they are."""
-    return [value] if isinstance(value, str) else value
-
-
 class Load(StrictModel):
     """Load on bodies in addition to gravity: exactly one kind of load.
 
@@ -42,7 +37,7 @@ class Load(StrictModel):
     energy in ledger.csv.
     """
 
-    object: Annotated[tuple[str, ...], BeforeValidator(as_list)]
+    object: Annotated[tuple[str, ...], BeforeValidator(as_names)]
     """name of the body, or a list of them"""
     region: Shape | None = None
     """apply the load only to the particles inside this shape at the start (domain coordinates),
@@ -93,38 +88,7 @@ class Load(StrictModel):
         return dt * mean_ramp_factor(t0, t1, self.ramp_time, self.start_time, self.end_time)
 
 
-def mean_ramp_factor(
-    t0: float, t1: float, ramp: float, after: float = 0.0, until: float | None = None
-) -> float:
-    """Return the mean over a step of a factor that grows from 0 to 1 as half a cosine.
-
-    The integral is exact, so that the impulse up to a time does not depend on the steps.
-
-    Args:
-        t0: Start of the step [s].
-        t1: End of the step [s].
-        ramp: Duration of the growth [s].
-        after: Time at which it begins [s].
-        until: Time at which the factor drops to 0 [s], or None for never.
-    """
-    first, last = max(t0, after), t1 if until is None else min(t1, until)
-    if last <= first:
-        return 0.0
-    if first - after >= ramp:
-        return (last - first) / (t1 - t0)
-    return (_ramp_integral(last - after, ramp) - _ramp_integral(first - after, ramp)) / (t1 - t0)
-
-
-def _ramp_integral(s: float, ramp: float) -> float:
-    """Return the integral of (1 - cos(pi t / ramp)) / 2 from 0 to s, of 1 beyond the ramp."""
-    if s >= ramp:
-        return s - 0.5 * ramp
-    return 0.5 * s - 0.5 * ramp / math.pi * math.sin(math.pi * s / ramp)
-
-
-def validate_load(
-    raw: dict, load: Load | None, role: dict[str, str] | None
-) -> list[tuple[tuple, str]]:
+def validate_load(raw: dict, load: Load | None, role: dict[str, str] | None) -> Errors:
     """Return (path, message) for errors of one load besides its values.
 
     Args:

@@ -1,15 +1,17 @@
-"""Particles on which loads act, and force densities."""
+"""Plan of loads: the particles on which they act, and force densities."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from vgmpi.scene.loads import FACES, Load
+from vgmpi.planning.feature_plan import FeaturePlan
+from vgmpi.preprocess.body_regions import densities_of, index_runs
+from vgmpi.preprocess.object_builder import spacing_of
+from vgmpi.preprocess.shape_sdf import contains
 from vgmpi.scene.scene import Scene
+from vgmpi.scene.scene_feature import InitialParticles
 
-from .body_regions import densities_of
-from .object_builder import spacing_of
-from .shape_sdf import contains
+from .table import FACES, Load
 
 Vector = tuple[float, float, float]
 
@@ -24,24 +26,45 @@ class ResolvedLoad(NamedTuple):
     total: Vector  # [N, or N s] on all of them at full strength
 
 
-def resolve_loads(
-    scene: Scene, x: np.ndarray, vol0: np.ndarray, owner: np.ndarray, objects: list[dict]
-) -> list[ResolvedLoad]:
+class LoadsPlan(FeaturePlan):
+    """Loads of a run."""
+
+    name = "loads"
+    drives_motion = True
+
+    def __init__(self, loads: tuple[ResolvedLoad, ...]):
+        """Take the loads."""
+        self.loads = loads
+
+    def for_compilation(self) -> "LoadsPlan":
+        """Return the plan of no loads."""
+        return LoadsPlan(())
+
+    def start(self, context: Any) -> Any:
+        """Return the loads as they act in a run.
+
+        Args:
+            context: See `FeaturePlan.start`.
+        """
+        from .coupling import Loads  # it compiles
+
+        return Loads(self.loads, context)
+
+
+def resolve_loads(scene: Scene, particles: InitialParticles) -> list[ResolvedLoad]:
     """Return the loads of a scene with their particles.
 
     Args:
         scene: The scene.
-        x: Particles at the start in the order of their ids, shape (n, 3) [m].
-        vol0: Rest volumes, shape (n,) [m3].
-        owner: Object of each particle, shape (n,).
-        objects: Entries of the objects and inlets.
+        particles: Particles at the start.
 
     Raises:
         SceneError: A load acts on no particle.
     """
+    x, vol0, owner = particles.x, particles.vol0, particles.owner
     number = {o.name: k for k, o in enumerate(scene.object)}
-    loads, errors, densities = [], [], densities_of(objects, owner) if scene.load else None
-    for k, load in enumerate(scene.load):
+    loads, errors, densities = [], [], densities_of(particles.entries, owner)
+    for k, load in enumerate(scene.lists["load"]):
         chosen = np.isin(owner, [number[name] for name in load.object])
         spacing = max(spacing_of(scene, scene.object[number[name]]) for name in load.object)
         if load.region is not None:
@@ -80,9 +103,3 @@ def _loaded(load, chosen, spacing, x, vol0, densities) -> ResolvedLoad:
     volume = float(vol0[chosen].sum())
     density = total[0] / volume, total[1] / volume, total[2] / volume
     return ResolvedLoad(load, index_runs(chosen), density, total)
-
-
-def index_runs(chosen: np.ndarray) -> np.ndarray:
-    """Return first and last index (m, 2) of each run of true values of `chosen` (n,)."""
-    edges = np.diff(np.concatenate([[0], chosen.astype(np.int8), [0]]))
-    return np.stack([np.flatnonzero(edges > 0), np.flatnonzero(edges < 0) - 1], 1)
