@@ -11,7 +11,7 @@ cd "$(dirname "$0")"
 
 H5PY=3.16.0  # no wheel carries parallel HDF5, so this one version is built here
 PYTHON=${PYTHON:-python3}
-EXTRAS=${EXTRAS-test,dev,docs,validate,replay}
+EXTRAS=${EXTRAS-test,dev,docs,validate,live}
 HDF5=${HDF5:-parallel}
 VENV=.venv
 

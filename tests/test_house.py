@@ -45,7 +45,7 @@ OUTSIDE = {  # packages that only some files may use
     "vtkmodules": ("vgmpi/preprocess/meshes/reader_process.py",),  # a process of its own
     "pxr": ("postprocess/export/usd_stage.py",),  # OpenUSD: one file of a moving run
     "pysplashsurf": ("postprocess/export/particle_surface.py",),  # surfaces: vgmpi export --surface
-    "viser": ("postprocess/commands/replay.py", "postprocess/live/guarded_server.py"),
+    "viser": ("postprocess/live/guarded_server.py",),
     # the part of viser's server that opens its port
     "websockets": ("postprocess/live/guarded_server.py",),
     "tqdm": (

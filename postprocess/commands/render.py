@@ -167,7 +167,7 @@ def _prepare(args: argparse.Namespace, local_count: int = 1) -> tuple[FrameRende
         if output.suffix not in image_io.TRANSPARENT:
             message = f"{output.suffix} has no transparency: allowed: .webm, .png, a folder"
             raise render_config.SettingsError([f"picture.background: 'none': {message}"])
-    settings_folder = Path(args.settings).parent if args.settings else Path(".")
+    settings_folder = render_config.base_folder(args.settings)
     run = open_run(args.out, prepared=args.preview)
     if isinstance(run, PreparedRun):
         log.info("%s: no frames yet: the prepared particles are drawn", args.out)

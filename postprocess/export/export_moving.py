@@ -90,7 +90,7 @@ def export_page(args: argparse.Namespace, numbers: list[int], run: RunReader, pa
     for index in tqdm(numbers, unit="frame", disable=True if args.quiet else None):
         frame = look.frame(index)
         writer.add_frame(float(run.times[index]), motion.states(frame), motion.poses(frame))
-    folder = Path(args.settings).parent if args.settings else Path(".")
+    folder = render_config.base_folder(args.settings)
     box = functools.cache(lambda: visible_extent(run))
     view = web_page.view_settings(look, chosen, folder, box, args.fps or FPS)
     title = str(run.scene.get("title") or run.folder.name)
@@ -108,7 +108,7 @@ def export_usd(args: argparse.Namespace, numbers: list[int], run: RunReader, pat
     """
     usd = usd_stage.load_usd()
     chosen = render_config.load(args.settings)
-    folder = Path(args.settings).parent if args.settings else Path(".")
+    folder = render_config.base_folder(args.settings)
     box = functools.cache(lambda: visible_extent(run))
     views = [CameraPath(entry, chosen.picture, box, folder) for entry in chosen.views()]
     look = Appearance(run, chosen.look)

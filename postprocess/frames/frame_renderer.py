@@ -253,6 +253,29 @@ class FrameRenderer:
         return RenderedView(picture, alpha, depth[0] if depth else None)
 
 
+def draw_preview(
+    run: RunReader, chosen: render_config.Settings, folder: Path, number: int, longest: int
+) -> np.ndarray:
+    """Draw a small picture of one frame, uint8 (height, width, 3 or 4).
+
+    Args:
+        run: Files of the run.
+        chosen: Contents of render.toml.
+        folder: Folder of render.toml, for the files it names.
+        number: Number of the frame.
+        longest: Longer side of the picture [pixels].
+
+    Raises:
+        RunError: If the frame cannot be drawn.
+        SettingsError: If the settings are wrong.
+    """
+    try:
+        painter = FrameRenderer(run, chosen, folder, longest=longest)
+        return painter.draw(number, number / max(len(run) - 1, 1))
+    except image_io.VideoError as error:
+        raise RunError(str(error)) from None
+
+
 def domain_box(run: RunReader) -> tuple[np.ndarray, np.ndarray]:
     """Return the lower and upper corner of the domain [m].
 

@@ -347,6 +347,11 @@ def find_settings(folder: Path) -> Path | None:
     return next((path for path in places if path.exists()), None)
 
 
+def base_folder(path: str | Path | None) -> Path:
+    """Return the folder of a render.toml, for the files it names; the current one without it."""
+    return Path(".") if path is None else Path(path).parent
+
+
 def load(path: str | Path | None) -> Settings:
     """Load a render.toml, or return the defaults without a file. Raises SettingsError."""
     if path is None:

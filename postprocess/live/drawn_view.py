@@ -17,8 +17,7 @@ import numpy as np
 from vgmpi.io.run_reader import RunError, RunReader
 
 from ..frames import render_config
-from ..frames.frame_renderer import FrameRenderer
-from ..frames.image_io import VideoError
+from ..frames.frame_renderer import draw_preview
 from .saved_camera import View
 
 PICTURE_SIZE = 800  # [pixels] longer side of a picture
@@ -105,11 +104,9 @@ def _draw(
     """Draw a view; see ViewRenderer.poll."""
     try:
         chosen = settings_of_view(render_config.load(settings), view)
-        base = Path(".") if settings is None else settings.parent
-        run = RunReader(folder)
-        painter = FrameRenderer(run, chosen, base, longest=PICTURE_SIZE)
-        picture = painter.draw(number, number / max(len(run) - 1, 1))
+        base = render_config.base_folder(settings)
+        picture = draw_preview(RunReader(folder), chosen, base, number, PICTURE_SIZE)
         return np.ascontiguousarray(picture[..., :3]), ""
-    except (RunError, render_config.SettingsError, VideoError) as error:
+    except (RunError, render_config.SettingsError) as error:
         lines = render_config.error_lines(error, settings)
         return None, lines[0]

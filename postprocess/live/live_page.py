@@ -18,7 +18,7 @@ from vgmpi.io.run_reader import RunError
 
 from ..frames.camera_paths import CameraPath
 from ..frames.field_values import color_bar
-from ..frames.render_config import Settings, SettingsError
+from ..frames.render_config import Settings, SettingsError, base_folder
 from .drawn_view import ViewRenderer
 from .followed_run import FollowedRun, ShownFrame, file_state
 from .page_panel import AS_DRAWN, NO_PLOT, PagePanel
@@ -229,7 +229,7 @@ class LivePage:
         cell = self._cell = self.followed.cell()
         show_domain(scene, self.followed.domain(), cell)
         box = self.followed.extent()
-        base = (self.options.settings_path or Path(".")).parent
+        base = base_folder(self.options.settings_path)
         settings = self.chosen.views()[0]
         camera = CameraPath(settings, self.chosen.picture, lambda: box, base).camera_at(0.0, 0.0)
         scene.set_up_direction(settings.up)

@@ -41,8 +41,8 @@ def test_a_command_that_lacks_a_package_says_which(monkeypatch, capsys):
         raise ModuleNotFoundError("No module named 'viser'", name="viser")
 
     monkeypatch.setattr(importlib, "import_module", absent)
-    assert command_table.main(["replay"]) == 2
-    assert capsys.readouterr().err == "vgmpi replay: the package viser is not installed\n"
+    assert command_table.main(["live"]) == 2
+    assert capsys.readouterr().err == "vgmpi live: the package viser is not installed\n"
 
 
 def test_what_is_no_command_is_a_scene(tmp_path, capsys):

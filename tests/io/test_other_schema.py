@@ -40,9 +40,7 @@ def test_a_file_is_not_described(out, capsys, caplog, name):
     assert refusal(capsys, caplog, "inspect", out / name) == f"vgmpi: {out / name}: {SAID}"
 
 
-@pytest.mark.parametrize(
-    "command, end", [("render", ".mp4"), ("view", ".png"), ("replay", ".html"), ("export", "")]
-)
+@pytest.mark.parametrize("command, end", [("render", ".mp4"), ("view", ".png"), ("export", "")])
 def test_a_run_is_not_shown(out, tmp_path, capsys, caplog, command, end):
     words = (command, out, "-o", tmp_path / f"shown{end}")
     assert refusal(capsys, caplog, *words).endswith(f"{out / file_layout.SERIES}: {SAID}")

@@ -9,7 +9,6 @@ import pytest
 from tests.support import drawn_runs
 from vgmpi.gaussians.camera import look_at
 from vgmpi.io.run_reader import RunReader
-from vgmpi.postprocess.commands import replay
 from vgmpi.postprocess.frames import render_config
 from vgmpi.postprocess.frames.appearance import Appearance
 from vgmpi.postprocess.frames.frame_renderer import visible_extent
@@ -45,25 +44,6 @@ def check_bar(handle, count):
     np.testing.assert_allclose(centers, x, rtol=1e-5)
 
 
-class SceneRecord:
-    """Stands in for viser's server while a page is made: keeps handles and the first camera."""
-
-    def __init__(self, monkeypatch):
-        self.handles, self.server = [], None
-        original, start = viser.SceneApi.add_gaussian_splats, viser.ViserServer.__init__
-
-        def add(scene, name, **arrays):
-            self.handles.append((name, original(scene, name, **arrays)))
-            return self.handles[-1][1]
-
-        def begin(server, *args, **options):
-            self.server = server
-            start(server, *args, **options)
-
-        monkeypatch.setattr(viser.SceneApi, "add_gaussian_splats", add)
-        monkeypatch.setattr(viser.ViserServer, "__init__", begin)
-
-
 @pytest.fixture
 def live_page(tmp_path):
     """Function that makes the live page of a run, with viewers that are not there."""
@@ -92,6 +72,8 @@ def test_the_live_page_sends_cells(tmp_path, live_page, cell):
     assert np.isfinite(sent_gaussians(page._nodes["/scenery"])[1]).all()
     initial = page.server.initial_camera
     np.testing.assert_allclose(initial.position, page._camera.eye / cell, rtol=1e-6)
+    low, high = visible_extent(RunReader(out))
+    np.testing.assert_allclose(initial.look_at, 0.5 * (low + high) / cell, rtol=1e-5)
     check_planes(initial.position, (initial.near, initial.far))
 
 
@@ -101,19 +83,6 @@ def check_planes(position, planes, cells=drawn_runs.CELLS):
     distances = np.linalg.norm(corners - position, axis=1)
     assert planes[0] < 0.01 * distances.min() and planes[1] > 10 * distances.max()
     assert planes[1] < 1e7 * planes[0]  # as 24 bits of depth can tell
-
-
-@pytest.mark.parametrize("cell", CELLS)
-def test_a_replay_sends_cells(tmp_path, monkeypatch, cell):
-    out = drawn_runs.write(tmp_path / "out", frames=1, cell=cell)
-    record = SceneRecord(monkeypatch)
-    replay.page(RunReader(out), [0], 10**6, 0.04)
-    (particles,) = [handle for name, handle in record.handles if name == "/particles"]
-    check_bar(particles, drawn_runs.WATER + drawn_runs.BAR)
-    low, high = visible_extent(RunReader(out))
-    initial = record.server.initial_camera
-    np.testing.assert_allclose(initial.look_at, 0.5 * (low + high) / cell, rtol=1e-5)
-    check_planes(initial.position, (initial.near, initial.far))
 
 
 @pytest.mark.parametrize("cell", CELLS)

@@ -36,9 +36,6 @@ COMMANDS = {
         "vgmpi.postprocess.commands.render", "draw a video of a run", function="command"
     ),
     "view": Command("vgmpi.postprocess.commands.view", "draw particles colored by any field"),
-    "replay": Command(
-        "vgmpi.postprocess.commands.replay", "write a run as an interactive HTML page"
-    ),
     "live": Command("vgmpi.postprocess.commands.live", "show a run in a browser while it goes on"),
     "export": Command(
         "vgmpi.postprocess.commands.export", "write frames as Gaussian files or meshes"

@@ -12,8 +12,7 @@ import numpy as np
 from vgmpi.io import csv_log, file_layout
 from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.postprocess.frames import render_config
-from vgmpi.postprocess.frames.frame_renderer import FrameRenderer
-from vgmpi.postprocess.frames.image_io import VideoError
+from vgmpi.postprocess.frames.frame_renderer import draw_preview
 from vgmpi.postprocess.frames.render_config import find_settings
 
 from .live_cell import LiveCell
@@ -105,12 +104,8 @@ class OpenedRun:
         number = self.frames[frame].number
         path = Path(settings) if settings is not None else find_settings(self.folder)
         chosen = render_config.load(path)
-        base = Path(".") if path is None else path.parent
-        try:
-            painter = FrameRenderer(self.reader, chosen, base, longest=size)
-            return painter.draw(number, number / max(len(self.frames) - 1, 1))
-        except VideoError as error:
-            raise RunError(str(error)) from None
+        base = render_config.base_folder(path)
+        return draw_preview(self.reader, chosen, base, number, size)
 
     def show(
         self, frame: int = -1, size: int = PICTURE_SIZE, settings: str | Path | None = None
