@@ -74,8 +74,8 @@ ANSWERS: dict[str, dict[str, str]] = {
     "vgmpi.parallel.cell_exchange": {},
     "vgmpi.features.implicit_pressure.coupling": {"start": "return None"},
     "vgmpi.kernels.rigid.prescribed_transfer": {"set_prescribed_velocity": "return"},
-    "vgmpi.kernels.rigid.moving_colliders": {},
-    "vgmpi.kernels.rigid.sdf_sampling": {},
+    "vgmpi.kernels.colliders.moving_colliders": {},
+    "vgmpi.kernels.colliders.sdf_sampling": {},
     "vgmpi.kernels.rigid.prescribed_motion": {"_none": KEPT},
     "vgmpi.features.releases.coupling": {"start": "return None"},
     "vgmpi.features.prescribed_motion.coupling": {"start": "return None"},
@@ -102,8 +102,7 @@ ANSWERS: dict[str, dict[str, str]] = {
         "_shear": KEPT,
     },
     "vgmpi.kernels.nodal_fields.body_fields": {},
-    "vgmpi.kernels.rigid.surface_slip": {},
-    "vgmpi.kernels.rigid.solid_slip": {},
+    "vgmpi.kernels.colliders.surface_flow": {},
     "vgmpi.scene.scene_feature": {
         "features": "return ()",
         "object_table": KEPT,
@@ -113,10 +112,7 @@ ANSWERS: dict[str, dict[str, str]] = {
     "vgmpi.kernels.rigid.shell_sampling": {},
     "vgmpi.planning.back_sides": {"with_back_sides": "return groups, phases, None"},
     "vgmpi.features.thin_walls.coupling": {"start": "return None"},
-    "vgmpi.features.surface_slip.coupling": {
-        "start_collider_slip": "return None",
-        "start_solid_slip": "return None",
-    },
+    "vgmpi.features.surface_slip.coupling": {},
 }
 PLAIN = """
 [domain]

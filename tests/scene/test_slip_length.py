@@ -3,6 +3,7 @@
 import pytest
 
 import vgmpi
+from vgmpi.features.surface_slip.plan import SurfaceSlipPlan
 from vgmpi.planning.cost.plan_report import format_plan
 from vgmpi.runtime.config.schema import SceneError
 
@@ -88,16 +89,17 @@ def test_liquids_stick_to_solids(tmp_path):
     plan = vgmpi.plan(vgmpi.load(tmp_path / "scene.toml", text=text))
     names = [phase.name for phase in plan.phases]
     gel, honey = names.index("floor"), names.index("fluid")
-    lengths = plan.slip_of_solids.lengths
+    slip = plan.feature(SurfaceSlipPlan)
+    lengths = slip.on_solids.lengths
     assert lengths[gel][honey] == lengths[honey][gel] == 1e-3
     assert lengths[gel][gel] == lengths[honey][honey] == float("inf")
-    assert plan.slip is None
+    assert slip.on_colliders is None
 
 
 def test_paste_may_stick(tmp_path):
     text = SCENE.replace('kind = "fluid"\nviscosity = 10', PASTE).replace('"1 mm"', "0")
-    slip = vgmpi.plan(vgmpi.load(tmp_path / "scene.toml", text=text)).slip
-    assert slip.lengths == ((0.0,),)
+    plan = vgmpi.plan(vgmpi.load(tmp_path / "scene.toml", text=text))
+    assert plan.feature(SurfaceSlipPlan).on_colliders.lengths == ((0.0,),)
 
 
 @pytest.mark.parametrize(

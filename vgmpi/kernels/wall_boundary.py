@@ -357,3 +357,17 @@ def project_tangential(offsets, index, i, j, k, cells, kinds):
         node = i if a == 0 else (j if a == 1 else k)
         if (node == 0 and kinds[a, 0] < SEPARATE) or (node == cells[a] and kinds[a, 1] < SEPARATE):
             offsets[index + a] = 0
+
+
+@device_function
+def stopped_axes(ijk, walls):
+    """Return a bit for each axis along which a wall stops a node, -1 at a stick wall."""
+    axes = 0
+    for a in range(3):
+        for side in range(2):
+            if ijk[a] == side * walls.cells[a]:
+                if walls.kinds[a, side] == STICK:
+                    return -1
+                if walls.kinds[a, side] == SLIP:
+                    axes |= 1 << a
+    return axes

@@ -21,6 +21,7 @@ with a return mapping.
 """
 
 import inspect
+import math
 from collections.abc import Iterable
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeVar, get_args
 
@@ -95,6 +96,14 @@ class Material(StrictModel):
     def bulk_density(self) -> float:
         """Return the mass per volume at rest, pores included [kg/m3]."""
         return self.density  # type: ignore[attr-defined]
+
+    @property
+    def dynamic_viscosity(self) -> float:
+        """Return the viscosity of a liquid [Pa s], infinite if it depends on the shear rate.
+
+        Other materials have none: 0.
+        """
+        return getattr(self, "viscosity", math.inf) if self.family == "fluid" else 0.0
 
     @property
     def solid_share(self) -> float:

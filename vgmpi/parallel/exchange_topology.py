@@ -92,7 +92,7 @@ class TopologyRequirements(NamedTuple):
     surface: np.ndarray = np.zeros(0, bool)  # (phases,) True with surface descriptors
     planes: tuple[ContactWall, ...] = ()  # walls that act on such phases by contact
     at_surfaces: bool = False  # fields near surfaces are summed in the blocks of colliders alone
-    sticking: np.ndarray = np.zeros(0, bool)  # (phases,) True if a liquid sticks to a solid there
+    in_contact: np.ndarray = np.zeros(0, bool)  # (phases,) True if they are summed where it touches
 
     @property
     def layers(self) -> list[str]:
@@ -349,7 +349,7 @@ def _who_contributes(
         close_by = box.spread(_at_plane(box.every, needs), np.logical_or)[index]
         wanted = wanted | (close_by & needs.surface[phase])
     contributes["offsets"] = wanted
-    at_solids = wanted & needs.sticking[phase] if needs.sticking.any() else ~every
+    at_solids = wanted & needs.in_contact[phase] if needs.in_contact.any() else ~every
     regions = {EVERYWHERE: every, NEAR_CONTACT: wanted, NEAR_SURFACES: near_solid | at_solids}
     for field in needs.fields:
         contributes[field.name] = regions[field.region] & field.groups[group]

@@ -18,6 +18,14 @@ class BodyPart(NamedTuple):
     group: int  # their group
 
 
+class Adhesion(NamedTuple):
+    """Adhesion of the flow of each phase to surfaces."""
+
+    # (surfaces, phases) [m] slip lengths, inf: free slip. Surfaces are colliders or phases
+    lengths: tuple[tuple[float, ...], ...]
+    viscosities: tuple[float, ...]  # (phases,) [Pa s] dynamic viscosity
+
+
 class FeaturePlan:
     """Feature of a run, one of `Plan.features`. Every answer has a default: nothing is needed.
 
@@ -26,6 +34,9 @@ class FeaturePlan:
         nodal_fields: Names of the fields near surfaces that it reads at nodes.
         reads_at_colliders: Whether it reads them only at nodes next to colliders that it moves.
         phases: Phases whose particles contribute to them.
+        phases_in_contact: Those of these phases that contribute wherever other phases are near.
+        reads_all_nodes: Whether it needs contributions also at nodes that touch no such collider.
+        adhesion: Adhesion of flows to each collider, or None if they slip freely on all.
         numbers_colliders: Whether it must know which collider a node is close to.
         moved_colliders: Number of colliders that it moves by what acts on them.
         collider_title: What reports call these.
@@ -40,6 +51,9 @@ class FeaturePlan:
     nodal_fields: frozenset[str] = frozenset()
     reads_at_colliders = numbers_colliders = has_momentum = False
     phases: frozenset[int] = frozenset()
+    reads_all_nodes = False
+    phases_in_contact: frozenset[int] = frozenset()
+    adhesion: Adhesion | None = None
     moved_colliders = 0
     collider_title = step_limit = ""
     counted = 0, "", ""

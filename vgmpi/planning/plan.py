@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from vgmpi.materials.couplings.contact_rule import Contact
 from vgmpi.materials.couplings.interaction import MIXING, InteractionRules
 from vgmpi.materials.material import law_function
 from vgmpi.scene.gravity import Keys, gravity_at, gravity_keys, mean_gravity
@@ -39,7 +40,6 @@ from .phases_and_groups import (
 from .prescribed_bodies import Extents, PrescribedBodyPlan, prescribed_body_plans, prescribed_phases
 from .proximity import Proximity
 from .region_groups import RegionPlan
-from .surface_friction import SurfaceSlipPlan, friction_table, slip_of_solids, surface_slip_plan
 
 FLOAT_TYPES: dict[str, np.dtype] = {
     "single": np.dtype(np.float32),
@@ -117,8 +117,6 @@ class Plan:
     features: tuple[FeaturePlan, ...] = ()  # optional features, in the order in which they act
     opens: tuple[float | None, ...] = (None,) * 6  # [s] when each wall vanishes
     feels: bool = False  # reaction impulses of each collider and wall are summed
-    slip: SurfaceSlipPlan | None = None  # of viscous liquids on colliders, if it is limited
-    slip_of_solids: SurfaceSlipPlan | None = None  # of viscous liquids on solids, if it is limited
     sides: WallSidesPlan | None = None  # of thin walls
     implicit_pressure: bool = False  # the grid finds the pressure of the scene's liquid
     holding_walls: tuple[str, ...] = ()  # slip walls that also hold back the bodies on them
@@ -132,7 +130,7 @@ class Plan:
     def numbers_colliders(self) -> bool:
         """True if the solver must know which collider a node is close to."""
         by_features = any(feature.numbers_colliders for feature in self.features)
-        return self.feels or self.slip is not None or by_features
+        return self.feels or by_features
 
     @property
     def has_releases(self) -> bool:
@@ -288,9 +286,8 @@ def make_plan(
         walls=tuple(scene.domain.walls), walls_of_solids=tuple(scene.walls_of_solids),
         phases=phases, groups=groups, group_of=group_of, count=tuple(int(n) for n in count),
         first_id=tuple(int(n) for n in np.concatenate([[0], np.cumsum(count)[:-1]])),
-        friction=friction_table(scene, groups, len(phases)),
-        slip=surface_slip_plan(scene, groups, len(phases)), sides=sides, collider=collider,
-        slip_of_solids=slip_of_solids(scene, groups, group_of, len(phases)),
+        friction=_friction_table(scene, groups, len(phases)),
+        sides=sides, collider=collider,
         stiff=_wave_moduli(groups, len(phases)), contact=len(phases) > 1,
         times=np.linspace(0.0, scene.time.end, scene.time.frames),
         cfl=scene.courant_number, fixed_dt=scene.time.dt, rate=_rate(scene, groups, sharing),
@@ -304,6 +301,32 @@ def make_plan(
     )  # fmt: skip
     _check_steps(scene, plan)
     return plan
+
+
+def _friction_table(
+    scene: Scene, groups: tuple[GroupPlan, ...], phases: int
+) -> tuple[tuple[float, ...], ...]:
+    """Return the friction of every pair of phases, and of phases on colliders.
+
+    If several materials meet in one pair of phases, the largest coefficient counts.
+    """
+    own = [obj.friction for obj in scene.object if obj.collider]
+    own = own if any(mu is not None for mu in own) else [None]
+    named = {frozenset(c.between): c.friction for c in scene.coupling if isinstance(c, Contact)}
+    out = np.zeros((phases + len(own), phases))
+    for a in groups:
+        material = scene.material[a.material]
+        out[phases:, a.phase] = np.maximum(
+            out[phases:, a.phase], Contact.default_friction(material, material)
+        )
+        for b in groups:
+            default = Contact.default_friction(material, scene.material[b.material])
+            mu = named.get(frozenset((a.material, b.material)), default)
+            out[a.phase, b.phase] = max(out[a.phase, b.phase], mu)
+    for c, value in enumerate(own):
+        if value is not None:
+            out[phases + c] = value
+    return tuple(tuple(float(v) for v in row) for row in out)
 
 
 def _rate(scene: Scene, groups: tuple[GroupPlan, ...], sharing: InteractionRules | None) -> float:

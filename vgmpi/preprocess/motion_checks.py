@@ -5,7 +5,7 @@ import logging
 
 import numpy as np
 
-from vgmpi.kernels.rigid.moving_colliders import MAX_COLLIDER_TRAVEL_CELLS
+from vgmpi.kernels.colliders.moving_colliders import MAX_COLLIDER_TRAVEL_CELLS
 from vgmpi.planning.plan import MAX_STEPS
 from vgmpi.planning.prescribed_bodies import course_of
 from vgmpi.scene.objects import Object

@@ -15,7 +15,7 @@ import scipy
 import scipy.spatial
 from scipy.sparse.csgraph import connected_components
 
-from vgmpi.kernels.rigid.moving_colliders import SDF_SPACING_CELLS
+from vgmpi.kernels.colliders.moving_colliders import SDF_SPACING_CELLS
 from vgmpi.kernels.rigid.shell_sampling import (
     EDGE,
     NEAR_EDGE,

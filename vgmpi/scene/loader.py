@@ -35,13 +35,12 @@ from .scene_feature import (
     table_lists,
 )
 from .sections import Appearance, Domain, Output, TopLevelKeys, validate_cell_counts
-from .slip_lengths import validate_slip_lengths
 from .subtraction import validate_subtractions
 from .thin_walls import validate_thin_scene
 
 REQUIRED = ("domain", "time", "material", "object")
 SCENE_RULES = (
-    validate_rigid_scene, validate_slip_lengths, validate_region_kinds, validate_thin_scene,
+    validate_rigid_scene, validate_region_kinds, validate_thin_scene,
     validate_subtractions,
 )  # fmt: skip
 LISTS = ("object", "coupling", "joint", "probe", "inlet", "outlet")

@@ -28,7 +28,6 @@ from .regions import Region, validate_regions
 from .rigid_motion import Motion, validate_motion
 from .rigid_objects import FreeBody, validate_rigid
 from .shapes import Axis, Shape, validate_shape
-from .slip_lengths import validate_slip_length
 from .subtraction import Subtraction
 from .thin_walls import validate_thin
 
@@ -244,10 +243,6 @@ class Object(StrictModel):
     friction: Annotated[float, Quantity("", ge=0)] | None = None
     """colliders only: Coulomb friction coefficient of all bodies on it. Default: that of each
     body's material"""
-    slip_length: Annotated[float, Quantity("m", ge=0)] | None = None
-    """colliders and bodies of solids only: distance behind the surface at which the velocity of a
-    viscous liquid, continued in a straight line, is that of the surface. 0: it sticks. Default: it
-    slips freely"""
     thin: Switch = False
     """colliders only: a shell, up to three cells thick, both sides of which may be wet, such as a
     cup or a plate. What is on one side neither passes to the other nor feels it. Walls thinner than
@@ -373,7 +368,7 @@ def validate_object(raw: dict) -> list[tuple[tuple, str]]:
     excluded = {path for path, _ in rigid}  # each key has one line
     errors = [error for error in errors if error[0] not in excluded] + rigid
     errors += [error for error in validate_regions(raw) if error[0] not in excluded]
-    errors += validate_slip_length(raw, scenery) + validate_thin(raw, scenery)
+    errors += validate_thin(raw, scenery)
     errors += validate_points(raw, scenery)
     return errors + ([] if scenery else _validate_prescribed(raw))
 

@@ -53,7 +53,9 @@ def changes_without_effect(scene: Scene, differences: list[tuple[tuple, str]]) -
         differences: Changes from `forbidden_changes`.
     """
     wrong = []
-    particle_keys = PARTICLE_KEYS.union(*(each.object_keys.model_fields for each in features()))
+    particle_keys = PARTICLE_KEYS.union(
+        *(each.object_keys.model_fields for each in features() if each.makes_particles)
+    )
     for path, message in differences:
         of_body = path[0] == "object" and len(path) > 2 and scene.object[path[1]].role == "body"
         if (of_body and path[2] in particle_keys) or path[0] == "seed":

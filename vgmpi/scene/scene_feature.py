@@ -20,8 +20,8 @@ from vgmpi.runtime.config.schema import StrictModel
 from .objects import Object
 from .sections import SECTIONS
 
-# In the order in which they act. It numbers groups and orders sums: it is part of the results.
-FEATURES = ("loads", "pinned_parts", "rigid_bodies")
+# In the order in which they act and plan. It numbers groups and orders sums: part of the results.
+FEATURES = ("loads", "surface_slip", "pinned_parts", "rigid_bodies")
 
 Errors = list[tuple[tuple, str]]  # (path of a key, message)
 
@@ -70,7 +70,8 @@ class SceneFeature:
         name: Name of its folder, under which its prepared data are stored.
         title: Noun phrase for messages: "pinned parts".
         force_source: Its bodies whose forces can be probed, as a message names them, or "".
-        object_keys: Table of the keys that it adds to [[object]]; all make particles of the start.
+        object_keys: Table of the keys that it adds to [[object]].
+        makes_particles: Whether these keys only make particles of the start, as far as bodies go.
         sections: Tables inside these keys, for the reference, by title.
         section_keys: Tables of the keys that it adds to [accuracy] and others, by their names.
         lists: Lists of tables that it adds at the top, by name.
@@ -79,6 +80,7 @@ class SceneFeature:
 
     name = title = force_source = ""
     object_keys: type[StrictModel] = NoKeys
+    makes_particles = False
     sections: Mapping[str, type[BaseModel]] = {}
     section_keys: Mapping[str, type[StrictModel]] = {}
     lists: Mapping[str, TableList] = {}
@@ -86,7 +88,8 @@ class SceneFeature:
 
     def keys_of(self, obj: Object) -> list[str]:
         """Return those of its keys that an object has set."""
-        return [key for key in self.object_keys.model_fields if getattr(obj, key)]
+        fields = self.object_keys.model_fields.items()
+        return [key for key, field in fields if getattr(obj, key) != field.default]
 
     def check_object(self, raw: dict, is_scenery: bool) -> Errors:
         """Return the errors of one object as read, besides the values of its keys."""
@@ -120,6 +123,10 @@ class SceneFeature:
             couplings: Couplings of its materials, None in place of invalid ones.
             accuracy: Table `accuracy`, or None.
         """
+        return []
+
+    def note_lines(self, scene: Any) -> list[str]:
+        """Return a line on each effect of a valid scene, with or without it, that may surprise."""
         return []
 
     def has_force(self, obj: Object) -> bool:

@@ -34,7 +34,7 @@ class Options:
 LACKS = {
     CARD: {
         "rigid": "free rigid bodies", "joint": "joints",
-        "slip_length": "slip lengths", "thin": "thin walls", "pressure": "implicit pressure",
+        "thin": "thin walls", "pressure": "implicit pressure",
     },
     "numpy": {"pressure": "implicit pressure"},
 }  # fmt: skip
@@ -76,8 +76,7 @@ def check_engine(engine: str, scene: Scene) -> None:
     }
     paths: list[tuple] = [("joint", k) for k in range(len(scene.joint))]
     for k, obj in enumerate(scene.object):
-        slips = obj.slip_length is not None
-        has = {"rigid": obj.rigid, "slip_length": slips, "thin": obj.thin}
+        has = {"rigid": obj.rigid, "thin": obj.thin}
         paths += [("object", k, key) for key, value in has.items() if value]
         paths += [("object", k, key) for feature in missing for key in feature.keys_of(obj)]
     if scene.accuracy.pressure == "implicit":

@@ -7,7 +7,7 @@ import numpy as np
 from vgmpi.features.active_feature import ActiveFeature, StartContext
 from vgmpi.features.particle_insertion import ParticleRows, insert_particles
 from vgmpi.features.start_features import start_features
-from vgmpi.kernels.rigid.moving_colliders import place_colliders
+from vgmpi.kernels.colliders.moving_colliders import place_colliders
 from vgmpi.kernels.rigid.prescribed_motion import PrescribedBodies
 from vgmpi.kernels.step_records import (
     UNKNOWN_MAXIMA,
@@ -363,8 +363,18 @@ def topology_requirements(plan: Plan) -> exchange_topology.TopologyRequirements:
         np.array([phase.surface for phase in plan.phases]),
         plan.planes,
         is_summed_at_surfaces(plan),
-        np.array(() if plan.slip_of_solids is None else plan.slip_of_solids.phases, bool),
+        _phases_in_contact(plan),
     )
+
+
+def _phases_in_contact(plan: Plan) -> np.ndarray:
+    """Return the phases whose fields near surfaces are summed near other phases, too, or no rows.
+
+    Returns:
+        Shape (phases,) bool, or (0,) if there are none.
+    """
+    rows = sorted(frozenset().union(*(each.phases_in_contact for each in plan.features)))
+    return np.isin(np.arange(len(plan.phases)), rows) if rows else np.zeros(0, bool)
 
 
 def _separate_stress(plan: Plan) -> bool | exchange_topology.MixtureProximity:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from vgmpi.features.active_feature import ActiveFeature, StartContext
-from vgmpi.kernels.rigid.moving_colliders import MovingColliders
+from vgmpi.kernels.colliders.moving_colliders import MovingColliders
 from vgmpi.kernels.step_records import StepMaxima, StepSpan
 from vgmpi.parallel.block_ownership import BlockDirectory
 from vgmpi.parallel.exchange_topology import ExchangeTopology

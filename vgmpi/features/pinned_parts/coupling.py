@@ -4,7 +4,7 @@ The particles of a pinned part are not on the grid. A node of the body up to 1.5
 outside of the part's surface takes the impulse m (V - v_s), where V is the velocity of the part at
 its surface and v_s = v - D dv/dn that of the body there, D the distance of the node outside. It has
 both signs and all directions, so the body is attached to the part. This is the rule of liquids that
-stick (kernels/rigid/surface_slip.py) without the condition that something touches.
+stick (docs/explanation/contact.md) without the condition that something touches.
 """
 
 from typing import NamedTuple
@@ -12,18 +12,18 @@ from typing import NamedTuple
 import numpy as np
 
 from vgmpi.features.active_feature import ActiveFeature, NodeState, StartContext
-from vgmpi.kernels.reaction_impulses import add_contact_reaction, set_block, set_node
-from vgmpi.kernels.rigid.body_nodes import REACH_CELLS, mean_gradient
-from vgmpi.kernels.rigid.moving_colliders import MovingColliders
-from vgmpi.kernels.rigid.prescribed_motion import PrescribedSteps, turn_rates
-from vgmpi.kernels.rigid.sdf_sampling import (
+from vgmpi.kernels.colliders.moving_colliders import MovingColliders
+from vgmpi.kernels.colliders.sdf_sampling import (
     distance_from_collider,
     set_node_indices,
     surface_velocity,
     turn_gradient,
 )
-from vgmpi.kernels.rigid.surface_slip import stopped_axes
+from vgmpi.kernels.colliders.surface_flow import REACH_CELLS, mean_gradient
+from vgmpi.kernels.reaction_impulses import add_contact_reaction, set_block, set_node
+from vgmpi.kernels.rigid.prescribed_motion import PrescribedSteps, turn_rates
 from vgmpi.kernels.step_records import StepMaxima, StepSpan
+from vgmpi.kernels.wall_boundary import stopped_axes
 from vgmpi.parallel.block_ownership import BlockDirectory
 from vgmpi.parallel.exchange_topology import GRADIENTS, ExchangeTopology
 from vgmpi.planning.prescribed_bodies import TIME_TOLERANCE

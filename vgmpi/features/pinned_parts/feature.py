@@ -135,7 +135,7 @@ class PinnedParts(SceneFeature):
 
     name, title = "pinned_parts", "pinned parts"
     force_source = "one that is pinned to the world"
-    object_keys, sections = ObjectKeys, {"pinned": PinnedPart}
+    object_keys, sections, makes_particles = ObjectKeys, {"pinned": PinnedPart}, True
     missing_engines = ("cuda",)
 
     def check_object(self, raw: dict, is_scenery: bool) -> Errors:

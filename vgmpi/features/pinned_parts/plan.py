@@ -34,6 +34,7 @@ class PinnedPartsPlan(FeaturePlan):
 
     name = "pinned_parts"
     nodal_fields = frozenset(GRADIENTS)
+    reads_all_nodes = True
 
     def __init__(self, parts: tuple[PinnedPartPlan, ...]):
         """Take the plans of all parts."""

@@ -16,6 +16,7 @@ from vgmpi.features.active_feature import (
     reserved_nodes,
 )
 from vgmpi.io.checkpoint import Checkpoint
+from vgmpi.kernels.colliders.surface_flow import AdhesionLaw
 from vgmpi.kernels.reproducible_sums import next_power_of_two
 from vgmpi.kernels.rigid import body_contact, body_nodes, free_coupling
 from vgmpi.kernels.rigid.contact_search import contact_search, find_pairs
@@ -58,8 +59,8 @@ class RigidBodies(ActiveFeature):
         self.number_of[self.bodies.rows] = np.arange(count)
         rows = np.array(plan.friction)[len(plan.phases) :]
         self.friction = rows[np.minimum(self.bodies.rows, len(rows) - 1)]
-        self.slip = self._slip_law()
-        self.contacts = body_nodes.no_contacts(1024, len(self.slip.length) > 0)
+        self.adhesion = self._adhesion_law()
+        self.contacts = body_nodes.no_contacts(1024, len(self.adhesion.length) > 0)
         self.near, self.counts = np.zeros(0, np.int64), np.zeros((0, 64), np.uint8)
         self.points = body_contact.contact_points(POINTS_PER_BODY * count)
         self.points_before, self.touching = body_contact.contact_points(0), 0
@@ -165,20 +166,21 @@ class RigidBodies(ActiveFeature):
             self.joints.add_impulses()
         bodies.set_velocities()
 
-    def _slip_law(self) -> body_nodes.SlipLaw:
-        """Return the slip of liquids on the bodies, without rows if they slip freely."""
-        slip = self.plan.slip
-        if slip is None:
-            return body_nodes.SlipLaw(np.zeros((0, 0)), np.zeros(0))
-        lengths = np.array(slip.lengths)[self.bodies.rows]
-        return body_nodes.SlipLaw(lengths, np.array(slip.viscosities))
+    def _adhesion_law(self) -> AdhesionLaw:
+        """Return the adhesion of flows to the bodies, without rows if they slip freely."""
+        laws = (feature.adhesion for feature in self.plan.features)
+        law = next((each for each in laws if each is not None), None)
+        if law is None:
+            return AdhesionLaw(np.zeros((0, 0)), np.zeros(0))
+        lengths = np.array(law.lengths)[self.bodies.rows]
+        return AdhesionLaw(lengths, np.array(law.viscosities))
 
     def _find_contacts(self, nodes: NodeState, dt: float) -> int:
         """Find the nodes of this rank that touch bodies; return their number."""
         bodies = self.bodies
         fields = tuple(nodes.fields[name].tables for name in NEAR_BODIES)
         marks = reserved_nodes(self.features)
-        coupled = body_nodes.CoupledBodies(self.number_of, bodies.x, self.friction, self.slip)
+        coupled = body_nodes.CoupledBodies(self.number_of, bodies.x, self.friction, self.adhesion)
         near = body_nodes.NodesNearBodies(
             self.movers.table, self.near, self.movers.nodes, self.movers.whose, self.counts,
             nodes.velocities, nodes.fields["offsets"].nodes, fields,
@@ -194,7 +196,7 @@ class RigidBodies(ActiveFeature):
             )  # fmt: skip
             if count <= len(self.contacts.mass):
                 return count
-            self.contacts = body_nodes.no_contacts(2 * count, len(self.slip.length) > 0)
+            self.contacts = body_nodes.no_contacts(2 * count, len(self.adhesion.length) > 0)
 
     def _collide(self, nodes: NodeState, dt: float) -> None:
         """Let the bodies meet each other, colliders and walls."""

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from vgmpi.kernels.rigid.moving_colliders import SDF_SPACING_CELLS
-from vgmpi.kernels.rigid.static_colliders import SDF_BAND_CELLS
+from vgmpi.kernels.colliders.moving_colliders import SDF_SPACING_CELLS
+from vgmpi.kernels.colliders.static_colliders import SDF_BAND_CELLS
 from vgmpi.kernels.rigid.surface_points import points_on_surface
 
 from .plan import Overlap, RigidBodiesSummary, RigidBodySummary

@@ -12,7 +12,7 @@ import numpy as np
 
 from vgmpi.features.active_feature import ActiveFeature, StartContext
 from vgmpi.features.particle_insertion import remove_particles
-from vgmpi.kernels.rigid.moving_colliders import MovingColliders
+from vgmpi.kernels.colliders.moving_colliders import MovingColliders
 from vgmpi.kernels.rigid.shell_sampling import (
     EDGE,
     NEAR_EDGE,

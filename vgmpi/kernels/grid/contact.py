@@ -5,6 +5,7 @@ The rule for one pair and the impulses of all pairs of a node are in contact_imp
 
 from typing import NamedTuple
 
+from vgmpi.kernels.colliders.static_colliders import SDF_BAND_CELLS
 from vgmpi.kernels.kernel_arguments import CONTACT_MASS_FLOOR
 from vgmpi.kernels.reaction_impulses import (
     add_contact_reaction,
@@ -15,7 +16,6 @@ from vgmpi.kernels.reaction_impulses import (
     set_wall,
 )
 from vgmpi.kernels.rigid.prescribed_motion import EFFECTIVE_MASS_FACTOR
-from vgmpi.kernels.rigid.static_colliders import SDF_BAND_CELLS
 from vgmpi.kernels.simd.cooperative import strided_range, sync_threads
 from vgmpi.kernels.wall_boundary import project_tangential
 from vgmpi.materials.couplings.interaction import CONTACT

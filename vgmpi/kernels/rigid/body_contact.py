@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vgmpi.kernels.colliders.sdf_sampling import distance_from_collider, sample_collider
 from vgmpi.kernels.wall_boundary import OPEN, STICK
 from vgmpi.runtime.jit import array_function, device_function, kernel
 
 from .contact_search import points_close_to_collider, points_close_to_wall
-from .sdf_sampling import distance_from_collider, sample_collider
 from .surface_points import ALIGNED, dot, facing_point, turned_normal
 
 POINTS = 4  # points of a pair that count

@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vgmpi.kernels.colliders.sdf_sampling import SampledSdf, distance_from_collider
 from vgmpi.runtime.jit import array_function, device_function, kernel
 
-from .sdf_sampling import SampledSdf, distance_from_collider
 from .surface_points import SurfacePoints, dot
 
 BALL_CELLS = 2.0, 12.0  # [cells] edges of the cubes whose points are in a ball

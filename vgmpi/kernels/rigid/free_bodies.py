@@ -8,9 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vgmpi.kernels.colliders.sdf_sampling import SampledSdf
 from vgmpi.runtime.jit import device_function, kernel
-
-from .sdf_sampling import SampledSdf
 
 SAMPLES_PER_CELL = 4  # samples per cell and axis by which mass and inertia are integrated
 STATE = "x", "q", "momentum", "spin", "travel"  # what a checkpoint stores

@@ -4,11 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vgmpi.kernels.colliders.moving_colliders import limit_rate_by_motion
 from vgmpi.kernels.step_records import StepSpan
 from vgmpi.planning.plan import Plan
 from vgmpi.scene.rigid_motion import Trajectories
-
-from .moving_colliders import limit_rate_by_motion
 
 ROTATED_CHANNELS = (
     "H",

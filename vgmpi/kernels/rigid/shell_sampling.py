@@ -8,15 +8,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vgmpi.runtime.jit import device_function, kernel
-
-from .sdf_sampling import (
+from vgmpi.kernels.colliders.sdf_sampling import (
     interpolate_cell,
     own_position,
     sample_side,
     store_side,
     turn_gradient,
 )
+from vgmpi.runtime.jit import device_function, kernel
 
 WALL_BAND_CELLS = 5.0  # [cells] distance from a wall within which particles have a side
 SIDED, NEAR_EDGE, EDGE = 1, 2, 3  # kinds of lattice points, 0: far from the wall

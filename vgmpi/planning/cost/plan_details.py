@@ -31,7 +31,7 @@ def plan_details(scene: Scene, plan: Plan, pace: Throughput) -> list[str]:
     lines = [f"  precision   {scene.accuracy.precision}: {PRECISION[scene.accuracy.precision]}"]
     lines += _phases(plan) + _regions(scene, plan) + _couplings(plan) + _walls(plan)
     lines += [line for feature in plan.features for line in feature.report_lines(plan)]
-    lines += _slip(scene) + _flows(plan) + _accuracy_notes(scene, plan)
+    lines += _flows(plan) + _accuracy_notes(scene, plan)
     return (
         lines + accuracy_benchmarks.preset_accuracy_lines(scene) + feature_table(scene, plan, pace)
     )
@@ -96,16 +96,6 @@ def _thin_walls(scene: Scene) -> list[str]:
     if not names:
         return []
     return [f"  thin walls  {_listing(names)}: what flows on one side does not feel the other"]
-
-
-def _slip(scene: Scene) -> list[str]:
-    """Return a line on each collider and body on which the slip of viscous liquids is limited."""
-    return [
-        f"  slip        {escape_control_characters(obj.name)}: viscous liquids"
-        + (f" slip with a length of {obj.slip_length:g} m" if obj.slip_length else " stick to it")
-        for obj in scene.object
-        if obj.slip_length is not None
-    ]
 
 
 def _flows(plan: Plan) -> list[str]:

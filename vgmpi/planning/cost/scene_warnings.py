@@ -5,9 +5,9 @@ from typing import Any
 
 from vgmpi.materials.liquid_stiffness import Liquid
 from vgmpi.planning.plan import Plan, time_step_bounds
-from vgmpi.planning.surface_friction import liquids_expected_to_stick
 from vgmpi.runtime.config.toml_source import escape_control_characters
 from vgmpi.scene.scene import Scene
+from vgmpi.scene.scene_feature import features
 
 from .run_estimate import step_count
 from .timestep_advice import POWERS, UNITS, rigid_clause, soft_liquid_lines, stiffness_key
@@ -45,7 +45,8 @@ def note_lines(scene: Scene, plan: Plan) -> list[str]:
         " them go"
         for name in plan.holding_walls
     ]
-    return lines + _free_slip(scene) + _thin(scene, plan)
+    lines += [line for feature in features() for line in feature.note_lines(scene)]
+    return lines + _thin(scene, plan)
 
 
 def _stiff_liquids(scene: Scene, plan: Plan) -> list[str]:
@@ -107,25 +108,6 @@ def _steps(scene: Scene, plan: Plan) -> list[str]:
             f" {UNITS[key]}{rigid_clause(scene, plan, name)}"
         ]
     return [reason] if count >= MANY_STEPS else []
-
-
-def _free_slip(scene: Scene) -> list[str]:
-    """Return a line on each liquid that slips on surfaces and is viscous enough to stick."""
-    solids = [name for name, material in scene.material.items() if material.family == "solid"]
-    free = [
-        o.name
-        for o in scene.object
-        if (o.collider or o.material in solids) and o.slip_length is None and o.friction is None
-    ]
-    names = ", ".join(map(escape_control_characters, free))
-    lines = []
-    for name, cells in liquids_expected_to_stick(scene).items() if free else ():
-        layer = "" if cells == math.inf else f"; its boundary layer is {cells:.0f} cells thick"
-        lines.append(
-            f"{escape_control_characters(name)} slips freely on {names}{layer}:"
-            " object.slip_length = 0 lets it stick"
-        )
-    return lines
 
 
 def _thin(scene: Scene, plan: Plan) -> list[str]:

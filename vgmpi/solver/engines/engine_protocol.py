@@ -21,9 +21,9 @@ from typing import Protocol
 import numpy as np
 
 from vgmpi.features.active_feature import ActiveFeature, EngineServices, NodeState
-from vgmpi.kernels.rigid.moving_colliders import MovingColliders
+from vgmpi.kernels.colliders.moving_colliders import MovingColliders
+from vgmpi.kernels.colliders.static_colliders import StaticColliders
 from vgmpi.kernels.rigid.prescribed_motion import PrescribedBodies
-from vgmpi.kernels.rigid.static_colliders import StaticColliders
 from vgmpi.kernels.step_records import AccumulatorOverflow, StepReport
 from vgmpi.kernels.transfer.particle_shifting import ShiftConstants
 from vgmpi.parallel.block_lattice import BlockLattice

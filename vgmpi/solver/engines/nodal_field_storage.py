@@ -20,7 +20,6 @@ from vgmpi.kernels.nodal_fields import (
 )
 from vgmpi.kernels.transfer import liquid_volume, pressure_transfer
 from vgmpi.parallel.exchange_topology import (
-    GRADIENTS,
     NEAR_BODIES,
     NEAR_CONTACT,
     NEAR_SURFACES,
@@ -240,18 +239,14 @@ def contributions(
 
 def fields_near_colliders(plan: Plan) -> tuple[str, ...]:
     """Return the names of the nodal fields that are summed near surfaces alone."""
-    slips = plan.slip is not None or plan.slip_of_solids is not None
-    names = frozenset(GRADIENTS if slips else ())
-    names = names.union(*(feature.nodal_fields for feature in plan.features))
+    names = frozenset().union(*(feature.nodal_fields for feature in plan.features))
     return tuple(name for name in NEAR_BODIES if name in names)
 
 
 def near_colliders_of_group(plan: Plan, group: GroupPlan) -> tuple[str, ...]:
     """Return those of these fields to which a group contributes."""
-    rules = [rule for rule in (plan.slip, plan.slip_of_solids) if rule is not None]
-    slips = any(rule.phases[group.phase] for rule in rules)
     is_read = any(feature.contributes(group.phase) for feature in plan.features)
-    if group.is_carried or not (slips or is_read):
+    if group.is_carried or not is_read:
         return ()
     return fields_near_colliders(plan)
 

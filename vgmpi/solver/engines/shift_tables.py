@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from vgmpi.kernels.rigid.moving_colliders import MovingColliders
-from vgmpi.kernels.rigid.static_colliders import StaticColliders
+from vgmpi.kernels.colliders.moving_colliders import MovingColliders
+from vgmpi.kernels.colliders.static_colliders import StaticColliders
 from vgmpi.kernels.transfer.particle_shifting import NodeFill, ShiftConstants
 from vgmpi.parallel.block_lattice import BITS
 from vgmpi.planning.plan import Plan

@@ -4,11 +4,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from vgmpi.kernels.colliders.surface_flow import REACH_CELLS
 from vgmpi.kernels.kernel_arguments import Particles
 from vgmpi.kernels.nodal_fields import body_fields
 from vgmpi.kernels.nodal_fields.body_fields import BodyFields
 from vgmpi.kernels.particle_records import BATCH
-from vgmpi.kernels.rigid.body_nodes import REACH_CELLS
 from vgmpi.kernels.transfer.surface_p2g import (
     SurfaceStencils,
     find_contributing_particles,
@@ -36,11 +36,10 @@ class SurfaceContributions(NamedTuple):
 def is_summed_at_surfaces(plan: Plan) -> bool:
     """Return whether the fields near surfaces are summed at the nodes next to colliders alone.
 
-    Some features, thin walls and liquids that stick to solids read them at more nodes.
+    Some features read them at more nodes.
     """
-    readers = [feature for feature in plan.features if feature.nodal_fields]
-    elsewhere = plan.sides is not None or plan.slip_of_solids is not None
-    return bool(readers) and all(each.reads_at_colliders for each in readers) and not elsewhere
+    elsewhere = any(each.reads_all_nodes for each in plan.features) or plan.sides is not None
+    return any(each.reads_at_colliders for each in plan.features) and not elsewhere
 
 
 def patch_count(plan: Plan) -> int:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from vgmpi.kernels.rigid.static_colliders import SDF_BAND_CELLS
+from vgmpi.kernels.colliders.static_colliders import SDF_BAND_CELLS
 from vgmpi.parallel.block_lattice import BLOCK_EDGE, BlockLattice
 from vgmpi.planning.prescribed_bodies import prescribed_phases
 from vgmpi.planning.proximity import PhaseProximity, Proximity

@@ -8,6 +8,7 @@ together, by accumulated Jacobi sweeps.
 
 import numpy as np
 
+from vgmpi.kernels.colliders.static_colliders import SDF_BAND_CELLS
 from vgmpi.kernels.grid.contact_impulses import (
     FULL_CONTACT_DISTANCE,
     GAP_RESOLVED,
@@ -29,7 +30,6 @@ from vgmpi.kernels.grid.contact_impulses import (
 from vgmpi.kernels.kernel_arguments import CONTACT_MASS_FLOOR
 from vgmpi.kernels.reaction_impulses import WALLS
 from vgmpi.kernels.rigid.prescribed_motion import NO_PRESCRIBED_BODIES
-from vgmpi.kernels.rigid.static_colliders import SDF_BAND_CELLS
 from vgmpi.materials.couplings.interaction import CONTACT
 from vgmpi.planning.plan import Plan
 

@@ -1,9 +1,9 @@
-"""Moving colliders at grid nodes, in plain NumPy; see kernels/rigid/sdf_sampling.py."""
+"""Moving colliders at grid nodes, in plain NumPy; see kernels/colliders/sdf_sampling.py."""
 
 import numpy as np
 
-from vgmpi.kernels.rigid.moving_colliders import MovingColliders
-from vgmpi.kernels.rigid.sdf_sampling import SampledSdf
+from vgmpi.kernels.colliders.moving_colliders import MovingColliders
+from vgmpi.kernels.colliders.sdf_sampling import SampledSdf
 
 from .dense_grid import Dense
 

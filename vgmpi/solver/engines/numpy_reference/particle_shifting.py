@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vgmpi.kernels.rigid.moving_colliders import MovingColliders
+from vgmpi.kernels.colliders.moving_colliders import MovingColliders
 from vgmpi.kernels.transfer.particle_shifting import (
     FULL_FILL,
     LIQUID_FILL,

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from vgmpi.features.active_feature import ActiveFeature, NodeState, carrier_of, reserved_nodes
+from vgmpi.kernels.colliders.moving_colliders import MovingColliders
+from vgmpi.kernels.colliders.static_colliders import StaticColliders
 from vgmpi.kernels.grid.mixture_coupling import MIN_POROSITY
 from vgmpi.kernels.kernel_arguments import NODE_MASS_FLOOR
-from vgmpi.kernels.rigid.moving_colliders import MovingColliders
 from vgmpi.kernels.rigid.prescribed_motion import PrescribedBodies
-from vgmpi.kernels.rigid.static_colliders import StaticColliders
 from vgmpi.kernels.step_records import AccumulatorOverflow, StepReport
 from vgmpi.kernels.transfer.auxiliary_gather import OVERFILL_RELAXATION_RATE
 from vgmpi.kernels.transfer.particle_shifting import ShiftConstants

@@ -5,8 +5,8 @@ Where walls are is computed in the blocks close to them, as for the other engine
 
 import numpy as np
 
+from vgmpi.kernels.colliders.moving_colliders import MovingColliders
 from vgmpi.kernels.grid.sided_phases import SIDED_CELLS
-from vgmpi.kernels.rigid.moving_colliders import MovingColliders
 from vgmpi.kernels.rigid.shell_sampling import SampledShells
 from vgmpi.planning.plan import Plan
 

@@ -4,13 +4,13 @@ from collections.abc import Callable
 
 import numpy as np
 
+from vgmpi.kernels.rigid.free_bodies import FreeBodies
+from vgmpi.kernels.rigid.shell_sampling import SampledShells, with_shells
 from vgmpi.kernels.step_records import StepSpan
 from vgmpi.parallel.block_lattice import BLOCK_EDGE, BlockLattice
 from vgmpi.scene.rigid_motion import Trajectories
 
-from .free_bodies import FreeBodies
 from .sdf_sampling import SampledSdf, evaluate_colliders
-from .shell_sampling import SampledShells, with_shells
 from .static_colliders import SDF_BAND_CELLS, StaticColliders
 
 SDF_SPACING_CELLS = 0.5  # [cells] spacing of the points at which a collider's distance is sampled
