@@ -17,7 +17,7 @@ import numpy as np
 from tests.physics.test_dam_break import FRONT_DEPTH, MPS, rms
 from tests.physics.test_poiseuille import starting
 from tests.support.oscillation import period
-from vgmpi.planning.cost.accuracy_benchmarks import COLUMNS, PATH
+from vgmpi.planning.cost.plan_details import COLUMNS, PATH
 from vgmpi.scene.accuracy_presets import LEVELS
 from vgmpi.scene.loader import load
 from vgmpi.tools.tradeoff.error_measures import RunOutcome

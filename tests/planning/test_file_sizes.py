@@ -4,7 +4,7 @@ import h5py
 import pytest
 
 import vgmpi
-from vgmpi.planning.cost.file_sizes import checkpoint_bytes, file_size_line, frame_bytes
+from vgmpi.planning.cost.plan_report import checkpoint_bytes, file_size_line, frame_bytes
 from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.solver.initial_particles import known_of, plan_for
 

@@ -7,7 +7,7 @@ import pytest
 
 from tests.benchmarks import levels as measured
 from tests.support.small_scenes import write
-from vgmpi.planning.cost.accuracy_benchmarks import accuracy_benchmarks, preset_accuracy_lines
+from vgmpi.planning.cost.plan_details import accuracy_benchmarks, preset_accuracy_lines
 from vgmpi.runtime.config.schema import SceneError
 from vgmpi.scene.accuracy_presets import LEVELS, apply_accuracy_preset
 from vgmpi.scene.loader import load

@@ -355,7 +355,7 @@ class ColliderSlip(SlipOnSurfaces):
 
     def __init__(self, context: StartContext, slip: Adhesion):
         """Take the slip lengths on the colliders."""
-        plan, solids = context.plan, context.collider_nodes
+        solids = context.collider_nodes
         lengths, viscosities = np.array(slip.lengths), np.array(slip.viscosities)
         if len(is_free := getattr(solids, "is_free", ())):
             lengths[is_free] = np.inf  # free bodies couple by themselves

@@ -1,5 +1,10 @@
 """Details of a plan, printed with -v: phases, contacts, walls, and the price of particles."""
 
+import csv
+from functools import cache
+from importlib import resources
+from pathlib import Path
+
 from vgmpi.materials.couplings.interaction import CONTACT, RULES
 from vgmpi.planning.correction_intervals import shift_cost
 from vgmpi.planning.inlet_schedule import InletPlan
@@ -7,9 +12,9 @@ from vgmpi.planning.plan import Plan
 from vgmpi.planning.region_groups import group_counts
 from vgmpi.planning.step_costs import COSTS
 from vgmpi.runtime.config.toml_source import escape_control_characters
+from vgmpi.scene.accuracy_presets import LEVELS
 from vgmpi.scene.scene import Scene
 
-from . import accuracy_benchmarks
 from .feature_costs import feature_table
 from .throughput import Throughput
 
@@ -18,6 +23,10 @@ PRECISION = {
     "single": "numbers of 7 digits; 'double' has 16 for twice the time",
 }
 FINE_COUNT = 27  # particles per cell with which solids bend accurately enough
+PATH = Path(str(resources.files(__package__))) / "accuracy_benchmarks.csv"
+# measured errors and costs of the accuracy presets (`python -m tests.benchmarks.levels`).
+# Units: error is a fraction, cpu is processor time in seconds.
+COLUMNS = ("case", "family", "what", "tolerance", "level", "error", "cpu")
 
 
 def plan_details(scene: Scene, plan: Plan, pace: Throughput) -> list[str]:
@@ -32,9 +41,7 @@ def plan_details(scene: Scene, plan: Plan, pace: Throughput) -> list[str]:
     lines += _phases(plan) + _regions(scene, plan) + _couplings(plan) + _walls(plan)
     lines += [line for feature in plan.features for line in feature.report_lines(plan)]
     lines += _flows(plan) + _accuracy_notes(scene, plan)
-    return (
-        lines + accuracy_benchmarks.preset_accuracy_lines(scene) + feature_table(scene, plan, pace)
-    )
+    return lines + preset_accuracy_lines(scene) + feature_table(scene, plan, pace)
 
 
 def _phases(plan: Plan) -> list[str]:
@@ -183,3 +190,36 @@ def _bending(scene: Scene, plan: Plan) -> list[str]:
         f" ({FINE_COUNT}: 6 %, 64:"
     )
     return [f"  bending     {', '.join(map(str, sorted(counts)))} {message} 4 %)"]
+
+
+@cache
+def accuracy_benchmarks() -> tuple[dict[str, str], ...]:
+    """Return the rows of the table, one per case and preset."""
+    with open(PATH, newline="") as file:
+        return tuple(csv.DictReader(file))
+
+
+def preset_accuracy_lines(scene: Scene) -> list[str]:
+    """Return the lines of --plan on the measured error and the relative cost of the scene's preset.
+
+    The lines use the cases nearest to the scene's materials. There are none if it has no preset.
+    """
+    level = scene.accuracy.level
+    if level is None:
+        return []
+    used = {entity.material for entity in scene.things if entity.material}
+    families = {scene.material[name].family for name in used}
+    rows = [row for row in accuracy_benchmarks() if row["family"] in families]
+    rows = rows or list(accuracy_benchmarks())
+    mine = [row for row in rows if row["level"] == level]
+    errors = "; ".join(f"{row['what']} {100 * float(row['error']):.2g} %" for row in mine)
+    lines = [f"  level       {level}: seen to be off by: {errors}"]
+    cost = {
+        other: sum(float(row["cpu"]) for row in rows if row["level"] == other) for other in LEVELS
+    }
+    relative = [
+        f"{other} {cost[other] / cost[level]:.2g}"
+        for other in LEVELS
+        if other != level and cost[level]
+    ]
+    return [*lines, f"              time there, that of {level} being 1: {', '.join(relative)}"]

@@ -7,13 +7,14 @@ import math
 
 from vgmpi.planning.implicit_pressure_rules import suits_implicit_pressure
 from vgmpi.planning.plan import Plan, time_step_bounds
+from vgmpi.planning.region_groups import group_counts
 from vgmpi.runtime.config.toml_source import escape_control_characters
 from vgmpi.runtime.message_text import format_duration
+from vgmpi.runtime.process_limits import format_bytes
 from vgmpi.scene.scene import Scene
 
 from . import tradeoff_results
 from .feature_costs import step_ns
-from .file_sizes import file_size_line
 from .pilot_result import PilotRun
 from .plan_details import plan_details
 from .run_estimate import pours_onto_bodies, step_count, step_seconds, writing_seconds
@@ -22,6 +23,12 @@ from .throughput import ASSUMED_THROUGHPUT, Throughput
 from .timestep_advice import limiting_material_lines, pruning_lines
 
 MOTION_STEP_MARGIN = 1.05  # [-] of the steps without motions, above which a line names them
+# [bytes] of a particle in a frame: number, position, object, velocity field, and VTK's tables
+BYTES_OF_EVERY_FRAME = 8 + 12 + 4 + 4 + 8
+BYTES_OF_FIELD = {
+    "velocity": 12, "J": 4, "F": 36, "stress": 24, "pressure": 4, "strain": 24,
+    "volume_fraction": 4,
+}  # fmt: skip
 
 
 def format_plan(
@@ -158,3 +165,34 @@ def _steps(
     advice = limiting_material_lines(scene, plan, compare)
     advice += pruning_lines(scene, plan, compare, lambda other: step_ns(scene, other, pace))
     return answers, advice + tradeoff_results.cheaper_setting_lines(scene)
+
+
+def frame_bytes(scene: Scene, plan: Plan) -> int:
+    """Return the size of a frame with all particles of a run [bytes]."""
+    has_deformation = any(group.has_deformation for group in plan.groups)
+    each = BYTES_OF_EVERY_FRAME
+    for name in scene.output.fields:
+        if name != "F" or has_deformation:
+            each += BYTES_OF_FIELD[name]
+    if plan.colors is not None:
+        each += 4 * 3 * int(plan.colors.coefficients.max())
+    return each * plan.particles
+
+
+def checkpoint_bytes(plan: Plan) -> int:
+    """Return the size of a checkpoint with all particles of a run [bytes]."""
+    return sum(count * plan.bytes_per_particle(group) for count, group in group_counts(plan))
+
+
+def file_size_line(scene: Scene, plan: Plan) -> str:
+    """Return the line of a plan about the files."""
+    frame, frames = frame_bytes(scene, plan), len(plan.times)
+    return (
+        f"  disk        {frames} frames of {_size(frame)}, {_size(frame * frames)} in all;"
+        f" a checkpoint takes {_size(checkpoint_bytes(plan))}"
+    )
+
+
+def _size(size: int) -> str:
+    """Return a number of bytes as text."""
+    return f"{size / 2**20:.3g} MiB" if size < 2**30 else format_bytes(size)

@@ -20,6 +20,7 @@ from vgmpi.kernels.nodal_fields import (
 )
 from vgmpi.kernels.transfer import liquid_volume, pressure_transfer
 from vgmpi.parallel.exchange_topology import (
+    GRADIENTS,
     NEAR_BODIES,
     NEAR_CONTACT,
     NEAR_SURFACES,
