@@ -122,7 +122,8 @@ class PhasePlan(NamedTuple):
     surface: bool = False  # contact uses surface descriptors of its bodies, not particles alone
     driven: bool = False  # its velocity is prescribed
     fills_by_volume: bool = False  # its liquids are shifted and differ in density
-    is_soft: bool = False  # its weight or its speed is too much for contact with walls
+    # contact with walls would not hold it: its weight or speed is too much, or it is a capture
+    is_soft: bool = False
     shares_space: bool = False  # it lies in the same space as another phase
 
     @property
@@ -444,7 +445,13 @@ def with_soft_bodies(
 
 
 def _is_soft(scene, phase, p, groups, weight, pulls, volume, center) -> bool:
-    """Return whether weight [N] or speed is too much for the contact of a phase with walls."""
+    """Return whether the contact of a phase with walls would not hold it.
+
+    Weight [N] or speed can be too much. Particles of captures lie outside of the smoothed surface
+    that contact sees, and would sink through a wall before it acts.
+    """
+    if any(getattr(scene.things[k], "gaussians", None) for k in phase.objects):
+        return True
     own = [group for group in groups if group.phase == p]
     waves = [float(law_function(group.law, "wave_speed2")(group.law, group.rest)) for group in own]
     modulus = min(group.density * wave for group, wave in zip(own, waves, strict=True))
