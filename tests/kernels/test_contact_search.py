@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from tests.support.simulate import begin
-from vgmpi.kernels.rigid import body_contact
-from vgmpi.kernels.rigid.contact_search import find_pairs, search_without_bounds
+from vgmpi.features.rigid_bodies import body_contact
+from vgmpi.features.rigid_bodies.contact_search import find_pairs, search_without_bounds
 from vgmpi.kernels.step_records import StepSpan
 
 SCENE = """

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from vgmpi.kernels.rigid.body_contact import contact_points
-from vgmpi.kernels.rigid.contact_sweeps import solve_contacts
+from vgmpi.features.rigid_bodies.body_contact import contact_points
+from vgmpi.features.rigid_bodies.contact_sweeps import solve_contacts
 
 MASS, RADIUS, FRICTION, FALL = 1.3, 0.1, 0.5, 1.0
 

@@ -13,7 +13,7 @@ import pytest
 import tests.physics.test_sphere as sphere
 from tests.support.simulate import begin, by_id, conservation_rows
 from tests.support.validation_record import held
-from vgmpi.kernels.rigid.free_bodies import FreeBodies
+from vgmpi.features.rigid_bodies.free_bodies import FreeBodies
 
 G = 9.81
 FLOOR = """

@@ -96,6 +96,17 @@ class FeaturePlan:
         """Return the plan of a run that only compiles kernels, or None to leave it out."""
         return None
 
+    def moved_bodies(self, colliders: list) -> Any:
+        """Return the state of the colliders that it moves, or None if it moves none.
+
+        It has their `rows`, `place(table)`, `matrices()`, `speeds()`, `travel`, `note_search()` and
+        `restore_search(saved)`; kernels/colliders/moving_colliders.py calls these.
+
+        Args:
+            colliders: All colliders at the start.
+        """
+        return None
+
     def start(self, context: Any) -> Any:
         """Return the feature as it acts in a run, an `ActiveFeature`.
 

@@ -1,16 +1,15 @@
 """Colliders: signed distance of scenery, exact for shapes, on voxels for clouds and meshes."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy
 
 from vgmpi.gaussians import shape_distance
-from vgmpi.kernels.rigid.free_bodies import RigidBody, mass_properties
 from vgmpi.kernels.rigid.shell_sampling import ShellLattice
 from vgmpi.preprocess.sampling.voxels import Voxels
 from vgmpi.scene.rigid_motion import Motion, Trajectory
-from vgmpi.scene.rigid_objects import FreeBody
 from vgmpi.scene.shapes import Shape
 
 from . import shape_sdf
@@ -34,7 +33,7 @@ class ShapeCollider:
     placement: SimilarityTransform
     step: float
     course: Trajectory | None = None  # its motion; distances are those at the start
-    body: RigidBody | None = None  # its state at the start if it moves freely
+    body: Any = None  # its state at the start if a feature moves it
     hull: Shape | None = None
     shell: ShellLattice | None = None  # its two sides if it is a thin wall
 
@@ -103,7 +102,7 @@ class VoxelCollider:
     voxels: Voxels
     values: np.ndarray
     course: Trajectory | None = None
-    body: RigidBody | None = None
+    body: Any = None
     shell: ShellLattice | None = None
 
     def ends(self) -> tuple[np.ndarray, np.ndarray]:
@@ -166,20 +165,6 @@ def with_motion(collider: Collider | None, motion: Motion | None) -> Collider | 
     low, high = collider.ends()
     x, y, z = (float(m) for m in (low + high) / 2)
     return replace(collider, course=Trajectory(motion, motion.pivot or (x, y, z)))
-
-
-def with_free_body(collider: Collider | None, body: FreeBody | None, dx: float) -> Collider | None:
-    """Return the collider as a free rigid body, if it is one.
-
-    Args:
-        collider: Collider, or None.
-        body: Properties of the body, or None.
-        dx: Cell size [m].
-    """
-    if collider is None or body is None:
-        return collider
-    mass, center, inertia = mass_properties(collider, body.density, dx)
-    return replace(collider, body=RigidBody(mass, center, inertia, *body[1:]))
 
 
 def with_shell(

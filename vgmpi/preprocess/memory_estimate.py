@@ -12,6 +12,7 @@ from vgmpi.gaussians import shape_distance
 from vgmpi.runtime import process_limits
 from vgmpi.scene.objects import SIZES, Object
 from vgmpi.scene.scene import Scene
+from vgmpi.scene.scene_feature import features
 
 from . import shape_sdf
 from .placement import (
@@ -28,7 +29,6 @@ BYTES_PER_PARTICLE = {"body": 108, "scenery": 100}
 BYTES_PER_PARTICLE_MERGED = {"body": 108, "scenery": 68}
 BYTES_PER_CANDIDATE = 24  # [bytes] of a lattice point
 SCENERY_LAYER_COUNT = 2  # [-] layers of Gaussians below a surface of scenery; one has gaps in it
-MAX_BODY_LENGTH = 4.0  # [-] of a free rigid body over the longest edge of the domain
 MAX_PLACES = 2.0**38  # [points] searched for particles; more would take days
 MAX_DISTANCE_SPACINGS = (
     2.0**52
@@ -130,8 +130,6 @@ def sized(obj: Object) -> str:
 def within_numbers(scene: Scene, obj: Object, low: np.ndarray, high: np.ndarray) -> None:
     """Raise PlacementError if an object is too large, too far away, or too small for doubles.
 
-    A free rigid body is searched as a whole: one much larger than the domain is refused, too.
-
     Args:
         scene: The scene.
         obj: The object.
@@ -145,10 +143,10 @@ def within_numbers(scene: Scene, obj: Object, low: np.ndarray, high: np.ndarray)
         )
         raise PlacementError(placement_key(obj), f"{message} are possible with cells of"
                              f" {scene.domain.cell:g} m")  # fmt: skip
-    length, limit = float((high - low).max()), MAX_BODY_LENGTH * max(scene.domain.size)
-    if obj.free_body is not None and not length <= limit:
-        message = f"is {length:.4g} m long; at most {limit:.4g} m are possible in this domain"
-        raise PlacementError("rigid", message)
+    length, size = float((high - low).max()), scene.domain.size
+    for feature in features():
+        for (key,), message in feature.check_size(obj, length, size):
+            raise PlacementError(key, message)
 
 
 def require_search_size(candidates: float) -> None:

@@ -103,43 +103,6 @@ def _outside_domain(scene: Scene, x: np.ndarray, courses: Trajectories, time: fl
     return ""
 
 
-def validate_free_body(scene: Scene, collider: Collider | None) -> list[tuple[tuple, str]]:
-    """Return (key of its object, message) if a free rigid body holds no volume or is outside.
-
-    Args:
-        scene: The scene.
-        collider: Collider of the body, or None.
-    """
-    if collider is None or collider.body is None:
-        return []
-    body = collider.body
-    if not body.mass > 0.0:
-        return [(("rigid",), "the body encloses no volume")]
-    if (body.center < 0.0).any() or (body.center > np.array(scene.domain.size)).any():
-        return [((), "the center of mass is outside the domain")]
-    return []
-
-
-def warn_of_distant_joints(scene: Scene, colliders: list[Collider]) -> None:
-    """Warn of joints whose points are farther from their bodies than these are large.
-
-    Args:
-        scene: The scene.
-        colliders: Its colliders, among them the free rigid bodies.
-    """
-    by_name = {collider.name: collider for collider in colliders}
-    for k, joint in enumerate(scene.joint):
-        bodies = [by_name[name] for name in joint.between if name in by_name]
-        bodies = [body for body in bodies if body.body is not None]
-        gaps = [float(body.distance(np.array([joint.at]))[0]) for body in bodies]
-        sizes = [float(np.subtract(*body.ends()[::-1]).max()) for body in bodies]
-        if gaps and min(gap - size for gap, size in zip(gaps, sizes, strict=True)) > 0.0:
-            log.warning(
-                "joint %s is %.3g m from the nearest of its bodies, farther than their size",
-                repr(joint.name) if joint.name else k, min(gaps),
-            )  # fmt: skip
-
-
 def motion_steps(scene: Scene, colliders: list[Collider], extents: dict) -> np.ndarray:
     """Return the steps that prescribed motions take in equal intervals of the run, shape (n,).
 

@@ -18,7 +18,7 @@ from vgmpi.runtime import process_limits
 from vgmpi.scene.inlets_outlets import Inlet
 from vgmpi.scene.objects import Object
 from vgmpi.scene.scene import Scene
-from vgmpi.scene.scene_feature import InitialParticles, prepare_features
+from vgmpi.scene.scene_feature import InitialParticles, features, prepare_features
 
 from . import inlet_particles, memory_estimate
 from .body_regions import (
@@ -28,14 +28,12 @@ from .body_regions import (
     validate_region_particles,
 )
 from .built_object import BuiltObject, bind_passive, with_surface_descriptor
-from .collider_sdf import Collider, ShapeCollider, with_free_body, with_motion, with_shell
+from .collider_sdf import Collider, ShapeCollider, with_motion, with_shell
 from .initial_conditions import apply_initial_conditions, initial_velocity
 from .initial_overlaps import subtract_objects, warn_of_overlaps
 from .motion_checks import (
     validate_body_motion,
     validate_collider_motion,
-    validate_free_body,
-    warn_of_distant_joints,
 )
 from .object_builder import build_object
 from .placement import PlacementError
@@ -138,8 +136,6 @@ def build_scene(scene: Scene) -> PreparedScene:
     warnings = warn_of_overlaps(scene, pieces)
     warn_of_locking(scene)
     warn_of_unlikely_objects(scene, pieces)
-    if scene.joint:
-        warn_of_distant_joints(scene, [p.collider for p in pieces if p.collider is not None])
     report_flip_ratio(scene)
     inlet_particles.validate_inlets_outlets(
         scene, pieces, [p.collider for p in pieces if p.collider is not None]
@@ -175,7 +171,9 @@ def _build(scene: Scene, k: int) -> BuiltObject:
     """Return object k by itself, with its collider."""
     obj, piece = scene.object[k], build_object(scene, k)
     cell, size = scene.domain.cell, scene.domain.size
-    collider = with_free_body(with_motion(piece.collider, obj.motion), obj.free_body, cell)
+    collider = with_motion(piece.collider, obj.motion)
+    for feature in features() if collider is not None else ():
+        collider = feature.complete_collider(obj, collider, cell)
     return replace(piece, collider=with_shell(collider, obj.thin, cell, size))
 
 
@@ -199,7 +197,8 @@ def _complete(
     piece = with_surface_descriptor(scene, piece, needed)
     invalid = validate_collider_motion(scene, piece.collider)
     invalid += validate_body_motion(scene, obj, piece.cloud.x)
-    invalid += validate_free_body(scene, piece.collider)
+    for feature in features() if piece.collider is not None else ():
+        invalid += feature.check_collider(scene, piece.collider)
     invalid += validate_region_particles(scene, obj, piece)
     errors += [(("object", k, *key), message) for key, message in invalid]
     if piece.summary:

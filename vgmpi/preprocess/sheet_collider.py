@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy
 
-from vgmpi.kernels.rigid.free_bodies import RigidBody
 from vgmpi.kernels.rigid.shell_sampling import ShellLattice
 from vgmpi.scene.rigid_motion import Trajectory
 
@@ -30,7 +30,7 @@ class SheetCollider:
     corner: np.ndarray
     thickness: float
     course: Trajectory | None = None  # its motion; distances are those at the start
-    body: RigidBody | None = None
+    body: Any = None
     shell: ShellLattice | None = None
 
     @classmethod

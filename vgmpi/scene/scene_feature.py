@@ -147,6 +147,35 @@ class SceneFeature:
         """
         return False
 
+    def check_size(self, obj: Object, length: float, size: tuple[float, ...]) -> Errors:
+        """Return why an object is too large for the domain.
+
+        Args:
+            obj: The object.
+            length: Its longest edge [m].
+            size: Edges of the domain [m].
+        """
+        return []
+
+    def complete_collider(self, obj: Object, collider: Any, dx: float) -> Any:
+        """Return the collider of an object with what the feature adds to it.
+
+        Args:
+            obj: The object.
+            collider: Its collider.
+            dx: Cell size [m].
+        """
+        return collider
+
+    def check_collider(self, scene: Any, collider: Any) -> Errors:
+        """Return the errors of a collider, with paths from its object.
+
+        Args:
+            scene: The scene.
+            collider: The collider.
+        """
+        return []
+
     def prepare(self, scene: Any, particles: InitialParticles, colliders: list) -> Any:
         """Return its data at the start, the same on all ranks, or None if the scene has none.
 

@@ -57,7 +57,9 @@ class Simulation:
         self.lattice = BlockLattice(plan.cells, plan.dx)
         # true if a collider has its own friction, is free, or its reaction is requested
         per_collider = len(plan.friction) > len(plan.phases) + 1 or plan.numbers_colliders
-        placed = place_colliders(list(colliders), self.lattice, plan.real, per_collider)
+        moved = (feature.moved_bodies(list(colliders)) for feature in plan.features)
+        free = next((bodies for bodies in moved if bodies is not None), None)
+        placed = place_colliders(list(colliders), self.lattice, plan.real, per_collider, free)
         movers, self.collider_nodes = placed
         prescribed = PrescribedBodies(plan, len(colliders)) if plan.driven else None
         self.engine: Engine = engine_of(engine)(

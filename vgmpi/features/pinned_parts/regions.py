@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from vgmpi.features.rigid_bodies.free_bodies import RigidBody
 from vgmpi.gaussians.shape_distance import distance
-from vgmpi.kernels.rigid.free_bodies import RigidBody
 from vgmpi.preprocess.body_regions import index_runs
 from vgmpi.preprocess.object_builder import spacing_of
 from vgmpi.preprocess.shape_sdf import contains

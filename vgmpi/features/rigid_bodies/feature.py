@@ -3,15 +3,62 @@
 See docs/explanation/rigid-bodies.md.
 """
 
+import logging
+from dataclasses import replace
 from typing import Any
 
-from vgmpi.scene.scene_feature import InitialParticles, SceneFeature
+import numpy as np
+
+from vgmpi.scene.scene_feature import Errors, InitialParticles, SceneFeature
+
+log = logging.getLogger("vgmpi")
+MAX_BODY_LENGTH = 4.0  # [-] of a body over the longest edge of the domain
 
 
 class RigidBodies(SceneFeature):
     """Free rigid bodies in the tables of a scene."""
 
     name, title = "rigid_bodies", "free rigid bodies"
+
+    def check_size(self, obj: Any, length: float, size: tuple[float, ...]) -> Errors:
+        """Return why a body is too large: it is searched as a whole.
+
+        Args:
+            obj, length, size: See `SceneFeature.check_size`.
+        """
+        limit = MAX_BODY_LENGTH * max(size)
+        if obj.free_body is None or length <= limit:
+            return []
+        message = f"is {length:.4g} m long; at most {limit:.4g} m are possible in this domain"
+        return [(("rigid",), message)]
+
+    def complete_collider(self, obj: Any, collider: Any, dx: float) -> Any:
+        """Return the collider of a body with its mass and its velocity.
+
+        Args:
+            obj, collider, dx: See `SceneFeature.complete_collider`.
+        """
+        if obj.free_body is None:
+            return collider
+        from .free_bodies import RigidBody, mass_properties  # it compiles
+
+        masses = mass_properties(collider, obj.free_body.density, dx)
+        return replace(collider, body=RigidBody(*masses, *obj.free_body[1:]))
+
+    def check_collider(self, scene: Any, collider: Any) -> Errors:
+        """Return why a body holds no volume, or is outside of the domain.
+
+        Args:
+            scene, collider: See `SceneFeature.check_collider`.
+        """
+        body = collider.body
+        if body is None:
+            return []
+        if not body.mass > 0.0:
+            return [(("rigid",), "the body encloses no volume")]
+        if (body.center < 0.0).any() or (body.center > np.array(scene.domain.size)).any():
+            return [((), "the center of mass is outside the domain")]
+        return []
 
     def prepare(self, scene: Any, particles: InitialParticles, colliders: list) -> Any:
         """Return the bodies as they are at the start, or None without any.
@@ -21,7 +68,8 @@ class RigidBodies(SceneFeature):
         """
         if all(collider.body is None for collider in colliders):
             return None
-        from .measurement import measure_rigid_bodies  # it compiles
+        _warn_of_distant_joints(scene, colliders)
+        from .surface_points import measure_rigid_bodies  # it compiles
 
         return measure_rigid_bodies(colliders, scene.domain.cell)
 
@@ -38,6 +86,26 @@ class RigidBodies(SceneFeature):
 
         density = {name: body.density for name, body in bodies.items()}
         return RigidBodiesPlan(density, draft.scene.joint, prepared), draft
+
+
+def _warn_of_distant_joints(scene: Any, colliders: list) -> None:
+    """Warn of joints whose points are farther from their bodies than these are large.
+
+    Args:
+        scene: The scene.
+        colliders: Its colliders, among them the bodies.
+    """
+    by_name = {collider.name: collider for collider in colliders}
+    for k, joint in enumerate(scene.joint):
+        bodies = [by_name[name] for name in joint.between if name in by_name]
+        bodies = [body for body in bodies if body.body is not None]
+        gaps = [float(body.distance(np.array([joint.at]))[0]) for body in bodies]
+        sizes = [float(np.subtract(*body.ends()[::-1]).max()) for body in bodies]
+        if gaps and min(gap - size for gap, size in zip(gaps, sizes, strict=True)) > 0.0:
+            log.warning(
+                "joint %s is %.3g m from the nearest of its bodies, farther than their size",
+                repr(joint.name) if joint.name else k, min(gaps),
+            )  # fmt: skip
 
 
 FEATURE = RigidBodies()

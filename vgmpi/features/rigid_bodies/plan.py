@@ -116,6 +116,16 @@ class RigidBodiesPlan(FeaturePlan):
             lines.append(f"{len(overlaps) - MAX_LINES} more pairs overlap less")
         return lines
 
+    def moved_bodies(self, colliders: list) -> Any:
+        """Return the state of the bodies at the start.
+
+        Args:
+            colliders: All colliders at the start.
+        """
+        from .free_bodies import FreeBodies  # it compiles
+
+        return FreeBodies(colliders)
+
     def start(self, context: Any) -> Any:
         """Return the bodies as they act in a run.
 

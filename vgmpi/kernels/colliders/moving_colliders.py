@@ -1,10 +1,10 @@
 """Moving colliders as the grid sees them, step by step."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
-from vgmpi.kernels.rigid.free_bodies import FreeBodies
 from vgmpi.kernels.rigid.shell_sampling import SampledShells, with_shells
 from vgmpi.kernels.step_records import StepSpan
 from vgmpi.parallel.block_lattice import BLOCK_EDGE, BlockLattice
@@ -36,8 +36,9 @@ class MovingColliders:
     """
 
     def __init__(
-        self, colliders: list, lattice: BlockLattice, real: np.dtype, numbered: bool = False
-    ):
+        self, colliders: list, lattice: BlockLattice, real: np.dtype, numbered: bool = False,
+        free: Any = None,
+    ):  # fmt: skip
         """Sample the colliders at rest.
 
         Args:
@@ -46,6 +47,7 @@ class MovingColliders:
             lattice: Lattice of the blocks.
             real: Floating-point type of nodal values.
             numbered: Store the number of the nearest collider.
+            free: State of those that a feature moves, see `FeaturePlan.moved_bodies`, or None.
         """
         self.dx, self.real, self.colliders = lattice.dx, real, colliders
         self.numbered = numbered
@@ -54,8 +56,8 @@ class MovingColliders:
             self.table = with_shells(self.table, colliders)
         self.moving = [m for m, collider in enumerate(colliders) if collider.course is not None]
         self.courses = Trajectories([colliders[m].course for m in self.moving])
+        self.free = free
         is_free = np.array([collider.body is not None for collider in colliders])
-        self.free = FreeBodies(colliders) if is_free.any() else None
         self.is_free = is_free if is_free.any() else np.zeros(0, bool)
         self.far = np.array(
             [colliders[m].course.max_radius(*colliders[m].ends()) for m in self.moving]
@@ -157,7 +159,7 @@ class MovingColliders:
 
 
 def place_colliders(
-    colliders: list, lattice: BlockLattice, real: np.dtype, numbered: bool
+    colliders: list, lattice: BlockLattice, real: np.dtype, numbered: bool, free: Any = None
 ) -> tuple[MovingColliders | None, MovingColliders | StaticColliders | None]:
     """Return the colliders that are evaluated every step, or None, and all colliders at the nodes.
 
@@ -168,9 +170,10 @@ def place_colliders(
         lattice: Lattice of the blocks.
         real: Floating-point type of nodal values.
         numbered: Store the number of the nearest collider.
+        free: See `MovingColliders`.
     """
     if any(_changes(collider) for collider in colliders):
-        movers = MovingColliders(colliders, lattice, real, numbered)
+        movers = MovingColliders(colliders, lattice, real, numbered, free)
         return movers, movers
     return None, StaticColliders(colliders, lattice, real, numbered) if colliders else None
 

@@ -97,7 +97,14 @@ def depth_in_flow(nodes, o, n, dx):
 
 @always_inline
 def mean_gradient(gradients, o, n, out):
-    """Store the change of a phase's velocity per cell along n at a node, 0 without particles."""
+    """Store the change of a phase's velocity per cell along n at a node, 0 without particles.
+
+    Args:
+        gradients: The three fields of velocity gradients.
+        o: Offset of the phase's node in the flat nodal values.
+        n: Unit vector, shape (3,).
+        out: Change per cell (out), shape (3,) [m/s].
+    """
     for c in range(3):
         out[c] = 0.0
     for a in range(3):

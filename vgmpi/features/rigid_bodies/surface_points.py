@@ -1,4 +1,4 @@
-"""Points on the surfaces of free rigid bodies, with their normals and curvatures.
+"""Points on the surfaces of free rigid bodies, with their normals and curvatures, and overlaps.
 
 A surface is known at some points only. By normal and curvature a point tells where near it the
 surface faces a direction, so that a ball rolls as if it had all its points.
@@ -8,14 +8,18 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vgmpi.kernels.colliders.moving_colliders import SDF_SPACING_CELLS
+from vgmpi.kernels.colliders.static_colliders import SDF_BAND_CELLS
 from vgmpi.runtime.jit import array_function, device_function
 
 from .free_bodies import inverse_times
+from .plan import Overlap, RigidBodiesSummary, RigidBodySummary
 
 SURFACE_SPACING_CELLS = 0.5  # [cells] of the points on the surfaces
 SURFACE_BAND = 0.6  # [spacings] distance of lattice points that are moved to the surface
 FLAT_RADIUS_CELLS = 100.0  # [cells] radius of curvature of what counts as flat
 MAX_TRAVEL_CELLS = 0.5  # [cells] largest way to the point that faces the other surface
+MIN_OVERLAP_CELLS = 0.25  # [cells] depth above which an overlap is told
 ALIGNED = 0.9  # [-] cosine between the normals of two faces
 
 
@@ -152,3 +156,41 @@ def surface_points(colliders: list, centers: np.ndarray, dx: float) -> SurfacePo
         first.append(first[-1] + len(x))
     place, normal, curvature = (np.concatenate(part) for part in zip(*pieces, strict=True))
     return SurfacePoints(np.array(first), place, normal, curvature)
+
+
+def measure_rigid_bodies(colliders: list, dx: float) -> RigidBodiesSummary:
+    """Return the free rigid bodies among colliders, and their overlaps with each other and others.
+
+    Args:
+        colliders: Colliders at the start.
+        dx: Cell size [m].
+    """
+    rows = [m for m, collider in enumerate(colliders) if collider.body is not None]
+    ends = np.array([collider.ends() for collider in colliders])
+    bodies: list[RigidBodySummary] = []
+    overlaps: dict[tuple[int, int], float] = {}
+    for m in rows:
+        collider = colliders[m]
+        surface, depth = points_on_surface(collider, dx)
+        shape = np.ceil((np.ptp(ends[m], axis=0) / dx + 2 * SDF_BAND_CELLS + 2) / SDF_SPACING_CELLS)
+        bodies.append(
+            RigidBodySummary(
+                collider.name,
+                float(collider.body.mass),
+                2.0 * depth,
+                len(surface),
+                8 * int(np.prod(shape + 1)),
+            )  # fmt: skip
+        )
+        meets = (ends[:, 0] < ends[m, 1]).all(1) & (ends[:, 1] > ends[m, 0]).all(1)
+        for other in map(int, np.flatnonzero(meets)):
+            if other != m:
+                inside = -float(colliders[other].distance(surface).min(initial=np.inf))
+                pair = (m, other) if m < other else (other, m)
+                overlaps[pair] = max(overlaps.get(pair, 0.0), inside)
+    pairs = [
+        Overlap(colliders[a].name, colliders[b].name, depth)
+        for (a, b), depth in overlaps.items()
+        if depth > MIN_OVERLAP_CELLS * dx
+    ]
+    return RigidBodiesSummary(tuple(bodies), tuple(sorted(pairs, key=lambda pair: -pair.depth)))
