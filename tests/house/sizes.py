@@ -9,6 +9,7 @@ from tests.house.source_file import FUNCTION, SourceFile, walk
 TENSORS = (
     "vgmpi/materials/tensor_math/",
     "vgmpi/kernels/",
+    "vgmpi/features/implicit_pressure/pressure_transfer.py",
     "vgmpi/solver/engines/cuda/",
     "vgmpi/gaussians/shape_evolution.py",
     "postprocess/studio/body_normals.py",

@@ -12,7 +12,7 @@ from tests.support.file_digests import (
 )
 from tests.support.simulate import advance, begin, by_id
 from vgmpi.features.implicit_pressure import coupling as implicit_pressure
-from vgmpi.kernels.grid import pressure_system
+from vgmpi.features.implicit_pressure import pressure_system
 
 pytestmark = pytest.mark.mpi
 

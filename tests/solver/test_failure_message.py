@@ -10,7 +10,6 @@ from vgmpi.kernels.step_records import AccumulatorOverflow, StepReport
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.exchange_topology import (
     NEAR_BODIES,
-    PARTICLE_PRESSURE,
     REST_VOLUME,
     FieldPlace,
     TopologyRequirements,
@@ -32,7 +31,7 @@ name = "pool"
 material = "water"
 shape = { box = [[0, 0, 0], [0.2, 0.2, 0.1]] }
 """
-NAMES = "shear", *NEAR_BODIES, PARTICLE_PRESSURE, REST_VOLUME, "color 0"
+NAMES = "shear", *NEAR_BODIES, "particle pressure", REST_VOLUME, "color 0"
 NEEDS = TopologyRequirements(
     np.zeros(1, np.int64), True, True, tuple(FieldPlace(n, np.ones(1, bool)) for n in NAMES)
 )

@@ -336,7 +336,7 @@ FEATURES = {
             f"{owner}.particle pressure"
             for owner in ("engine.layers", "tables.asked", "tables.contributes")
         )},
-        {"ParticlePressure", "MomentumWithoutPressure", "ImplicitPressure",
+        {"ParticlePressure", "MomentumWithoutPressure", "ImplicitPressureGather",
          "Lattice", "PressureFields", "set_nodes", "set_cells", "set_excess", "respond", "sweep",
          "add_velocities", "store_node_pressure", "store_moves"},
     ),

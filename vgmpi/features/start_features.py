@@ -9,7 +9,7 @@ STARTS: dict[str, tuple[str, str] | None] = {
     "flow_accounting": ("inlets_outlets.flow_accounting", "start"),
     "loads": None,
     "moving_colliders": ("moving_colliders.coupling", "start"),
-    "implicit_pressure": ("implicit_pressure.coupling", "start"),
+    "implicit_pressure": None,
     "surface_slip": None,
     "pinned_parts": None,
     "rigid_bodies": None,

@@ -20,7 +20,6 @@ from .block_ownership import BlockDirectory
 from .node_overlap import NEIGHBORS, number_node_blocks, shared_masks
 
 REST_VOLUME = "rest volume"  # nodal field of a step of no time
-PARTICLE_PRESSURE = "particle pressure"  # nodal field of an implicit pressure
 # nodal fields near free bodies: velocity gradients, mean pressure
 GRADIENTS = tuple(f"velocity gradient {a}" for a in "xyz")
 NEAR_BODIES = (*GRADIENTS, "mean pressure")

@@ -8,6 +8,7 @@ import numpy as np
 from vgmpi.scene.scene_feature import features
 
 from .prescribed_bodies import PrescribedBodyPlan
+from .step_costs import StageCost
 
 
 class BodyPart(NamedTuple):
@@ -31,6 +32,8 @@ class FeaturePlan:
 
     Attributes:
         name: Name of the feature.
+        title: Noun phrase for reports.
+        gathered: Names of auxiliary nodal values that particles gather for it.
         nodal_fields: Names of the fields near surfaces that it reads at nodes.
         reads_at_colliders: Whether it reads them only at nodes next to colliders that it moves.
         phases: Phases whose particles contribute to them.
@@ -47,7 +50,8 @@ class FeaturePlan:
         drives_motion: Whether bodies reach speeds that gravity alone does not give them.
     """
 
-    name = ""
+    name = title = ""
+    gathered: tuple[str, ...] = ()
     nodal_fields: frozenset[str] = frozenset()
     reads_at_colliders = numbers_colliders = has_momentum = False
     phases: frozenset[int] = frozenset()
@@ -63,6 +67,31 @@ class FeaturePlan:
     def contributes(self, phase: int) -> bool:
         """Return whether the particles of a phase contribute to its nodal fields."""
         return phase in self.phases
+
+    def field_requests(self, plan: Any) -> tuple:
+        """Return its features/field_request.py `FieldRequest`s, for fields of its own.
+
+        Args:
+            plan: The plan of the run.
+        """
+        return ()
+
+    def gathers(self, group: Any) -> bool:
+        """Return whether the particles of a group gather more than the velocity for it."""
+        return False
+
+    def gather_kind(self, group: Any, gathered: dict) -> Any:
+        """Return the kernels/transfer/auxiliary_gather.py kind of such a group, or None.
+
+        Args:
+            group: The `GroupPlan`.
+            gathered: Auxiliary nodal values by name.
+        """
+        return None
+
+    def particle_cost(self, group: Any) -> StageCost | None:
+        """Return what it costs per particle of a group, relative to a fluid's step, or None."""
+        return None
 
     def parts(self) -> list[BodyPart]:
         """Return the parts of bodies that have groups of their own."""

@@ -54,7 +54,7 @@ class GroupPlan(NamedTuple):
     space: float = 0.0  # [1/kg] inverse mass of a full cell with density correction, else 0
     shifts: bool = False  # its particles are shifted where they crowd, and keep their volume
     cell_dilatation: bool = False  # its volume follows the mean divergence of cells
-    implicit_pressure: bool = False  # the grid finds its pressure, without a bound by its waves
+    separate_pressure: bool = False  # its pressure is not that of its volume: a feature applies it
     softens_spray: bool = False  # its volume follows a part of the divergence where it fills little
     carrier: str = ""  # feature that moves its particles outside the grid, see `ActiveFeature`
 
@@ -318,9 +318,6 @@ def with_runtime_requirements(
         group = group._replace(cost=group.cost + COSTS.correction.total / restores)
     if keeps is not None:
         return group._replace(apart=True, cost=group.cost + COSTS.flip.total)
-    if scene.accuracy.pressure == "implicit":
-        cost = group.cost + COSTS.implicit_pressure.total
-        return group._replace(implicit_pressure=True, softens_spray=False, slips=0.0, cost=cost)
     if scene.accuracy.dilatation == "cells" and group.is_liquid and not group.apart:
         cost = group.cost + COSTS.cell_dilatation.total
         return group._replace(cell_dilatation=True, cost=cost)

@@ -24,7 +24,6 @@ from .back_sides import WallSidesPlan, with_back_sides
 from .color_exchange import ColorExchange, color_exchange
 from .correction_intervals import correction_interval, shift_interval
 from .feature_plan import FeaturePlan, PlanDraft, plan_features
-from .implicit_pressure_rules import check_implicit_pressure, falling_rate, is_implicit
 from .inlet_schedule import InletPlan, OutletPlan, inlet_plans, outlet_plans
 from .interaction_rules import interaction_rules, with_slip_wave_factors
 from .phases_and_groups import (
@@ -46,6 +45,7 @@ FLOAT_TYPES: dict[str, np.dtype] = {
     "double": np.dtype(np.float64),
 }
 PlannedFeature = TypeVar("PlannedFeature", bound=FeaturePlan)
+RIGID_STEPS = 10.0  # [-] steps of rigid bodies alone in the time in which a drop falls `cfl` cells
 MAX_STEPS = 2.0**52  # with more steps, a step is lost to rounding when it is added to the time
 
 
@@ -118,7 +118,6 @@ class Plan:
     opens: tuple[float | None, ...] = (None,) * 6  # [s] when each wall vanishes
     feels: bool = False  # reaction impulses of each collider and wall are summed
     sides: WallSidesPlan | None = None  # of thin walls
-    implicit_pressure: bool = False  # the grid finds the pressure of the scene's liquid
     holding_walls: tuple[str, ...] = ()  # slip walls that also hold back the bodies on them
     regions: tuple[RegionPlan, ...] = ()  # parts of bodies of another material, if known
 
@@ -292,7 +291,7 @@ def make_plan(
         times=np.linspace(0.0, scene.time.end, scene.time.frames),
         cfl=scene.courant_number, fixed_dt=scene.time.dt, rate=_rate(scene, groups, sharing),
         rules=sharing, colors=colors, affine=scene.accuracy.affine, keeps=keeps, restores=restores,
-        splines=scene.accuracy.gradient == "bspline", implicit_pressure=is_implicit(scene),
+        splines=scene.accuracy.gradient == "bspline",
         shift_interval=shift_interval(scene) * any(group.shifts for group in groups),
         gravity_ramp_time=scene.domain.gravity_ramp_time,
         gravity_keys=gravity_keys(scene.domain), features=features, opens=tuple(scene.domain.opens),
@@ -334,6 +333,22 @@ def _rate(scene: Scene, groups: tuple[GroupPlan, ...], sharing: InteractionRules
     spread = sharing.diffusion.max(initial=0.0) if sharing else 0.0
     viscosity = max(scene.material[group.material].kinematic_viscosity for group in groups)
     return max(max(6.0 * viscosity, 6.0 * spread) / scene.domain.cell**2, falling_rate(scene))
+
+
+def falling_rate(scene: Scene) -> float:
+    """Return the least 1 / dt [1/s] that gravity asks for where no waves bound the step, else 0.
+
+    With particles a drop at rest falls by less than `cfl` cells in a step. In a scene of
+    rigid bodies alone a step is RIGID_STEPS times shorter, for the error of their way: it is half
+    the way of a step. Without gravity the time between two frames takes the place of this one.
+    """
+    if not scene.is_free_of_waves and scene.has_particles:
+        return 0.0
+    keys = [scene.domain.gravity, *(gravity for _, gravity in gravity_keys(scene.domain))]
+    gravity = max(math.sqrt(sum(g * g for g in key)) for key in keys)
+    falling = math.sqrt(2.0 * gravity / scene.domain.cell) / scene.courant_number
+    falling = falling or (scene.time.frames - 1) / scene.time.end
+    return falling if scene.has_particles else RIGID_STEPS * falling
 
 
 def _wave_moduli(groups: tuple[GroupPlan, ...], phases: int) -> tuple[float, ...]:
@@ -401,7 +416,6 @@ def _check_transfer(scene: Scene, sharing: InteractionRules | None) -> None:
 
 def _check_steps(scene: Scene, plan: Plan) -> None:
     """Check that the laws are finite, a fixed step is stable, and every step advances the time."""
-    check_implicit_pressure(scene, plan.groups, plan.phases)
     for group in plan.groups:
         if not np.isfinite(group.law).all():
             message = (

@@ -52,7 +52,6 @@ class StepCosts(NamedTuple):
     rest_volume: StageCost  # one sum of rest volumes, where liquids differ in density
     flip: StageCost  # FLIP and AFLIP
     cell_dilatation: StageCost  # dilatation by cells
-    implicit_pressure: StageCost
     density_correction: StageCost
     color: StageCost  # one color coefficient that is transferred in every step
     surface_contact: ProximityCost  # contact of solids with surface descriptors
@@ -73,7 +72,6 @@ COSTS = StepCosts(
     rest_volume=StageCost(0.5, 0.1),
     flip=StageCost(0.39, 0.05, 0.24),
     cell_dilatation=StageCost(0.05, 0.1, 0.2),
-    implicit_pressure=StageCost(0.1, 1.2, 0.2),
     density_correction=StageCost(0.0, 0.0, 0.1),
     color=StageCost(0.3, 0.05, 0.25),
     surface_contact=ProximityCost(

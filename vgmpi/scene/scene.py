@@ -13,6 +13,7 @@ from .inlets_outlets import Inlet, Outlet
 from .joints import Joint
 from .objects import Object
 from .probes import Probe
+from .scene_feature import features
 from .sections import SECTIONS, Accuracy, Appearance, Domain, Output, Time
 
 DEFAULT_CFL, SMALL_CFL = 0.55, 0.4  # [-] default CFL number, and that of `courant_number`'s cases
@@ -86,13 +87,17 @@ class Scene:
     def courant_number(self) -> float:
         """Return the CFL number of the steps: that of the file, or the default.
 
-        The smaller number is that of steps that an implicit pressure frees of waves, and of fixed
-        steps.
+        The smaller number is that of steps that waves do not bound, and of fixed steps.
         """
         if self.time.cfl is not None:
             return self.time.cfl
-        is_small = self.accuracy.pressure == "implicit" or self.time.dt > 0.0
+        is_small = self.is_free_of_waves or self.time.dt > 0.0
         return SMALL_CFL if is_small else DEFAULT_CFL
+
+    @property
+    def is_free_of_waves(self) -> bool:
+        """Return whether a feature frees the steps of their bound by waves."""
+        return any(feature.removes_wave_bound(self) for feature in features())
 
     def material_of(self, obj: Object) -> Any:
         """Return the material of a body."""

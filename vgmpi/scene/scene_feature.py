@@ -21,7 +21,7 @@ from .objects import Object
 from .sections import SECTIONS
 
 # In the order in which they act and plan. It numbers groups and orders sums: part of the results.
-FEATURES = ("loads", "surface_slip", "pinned_parts", "rigid_bodies")
+FEATURES = ("loads", "implicit_pressure", "surface_slip", "pinned_parts", "rigid_bodies")
 
 Errors = list[tuple[tuple, str]]  # (path of a key, message)
 
@@ -76,6 +76,7 @@ class SceneFeature:
         section_keys: Tables of the keys that it adds to [accuracy] and others, by their names.
         lists: Lists of tables that it adds at the top, by name.
         missing_engines: Engines that cannot run it.
+        pushes_alone: Whether it does no more than to push particles before a step.
     """
 
     name = title = force_source = ""
@@ -85,11 +86,22 @@ class SceneFeature:
     section_keys: Mapping[str, type[StrictModel]] = {}
     lists: Mapping[str, TableList] = {}
     missing_engines: tuple[str, ...] = ()
+    pushes_alone = False
 
     def keys_of(self, obj: Object) -> list[str]:
         """Return those of its keys that an object has set."""
         fields = self.object_keys.model_fields.items()
         return [key for key, field in fields if getattr(obj, key) != field.default]
+
+    def key_paths(self, scene: Any) -> list[tuple]:
+        """Return the paths of those of its keys and tables that a scene has set."""
+        paths: list[tuple] = []
+        for k, obj in enumerate(scene.object):
+            paths += [("object", k, key) for key in self.keys_of(obj)]
+        for name, table in self.section_keys.items():
+            values, fields = getattr(scene, name), table.model_fields
+            paths += [(name, key) for key in fields if getattr(values, key) != fields[key].default]
+        return paths + [(name, k) for name in self.lists for k in range(len(scene.lists[name]))]
 
     def check_object(self, raw: dict, is_scenery: bool) -> Errors:
         """Return the errors of one object as read, besides the values of its keys."""
@@ -173,6 +185,19 @@ class SceneFeature:
         Args:
             scene: The scene.
             collider: The collider.
+        """
+        return []
+
+    def removes_wave_bound(self, scene: Any) -> bool:
+        """Return whether waves do not bound the steps of a scene because of the feature."""
+        return False
+
+    def advice_lines(self, scene: Any, plan: Any) -> list[str]:
+        """Return lines of the plan report on a scene that lacks the feature and should have it.
+
+        Args:
+            scene: The scene.
+            plan: Its plan.
         """
         return []
 

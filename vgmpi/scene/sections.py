@@ -198,11 +198,6 @@ class Accuracy(StrictModel):
     particles: that at each particle; a liquid much stiffer than its depth asks for locks, and its
     waves are too fast. cells: the mean over the cells around it, for waves and currents in stiff
     liquids, with apic-corrected, apic and pic; a step takes 1.2 to 1.4 times as long"""
-    pressure: Literal["explicit", "implicit"] = "explicit"
-    """how the pressure of liquids is found. explicit: from the volume of each particle; its waves
-    bound the step. implicit: by a system of equations of the grid, so that only the motion bounds
-    the step: for scenes of one liquid between slip and stick walls, with transfer = "apic" and
-    volume_correction = "none", which are then the defaults"""
     precision: Literal["single", "double"] = "single"
     """precision of the particles' and the grid's numbers. single: half the time and memory of
     double, and changes nothing that a picture shows. double: for conservation to 15 digits, for
@@ -214,19 +209,6 @@ class Accuracy(StrictModel):
         if self.dilatation == "cells" and self.keeps:
             message = "cells is for transfer = 'apic-corrected', 'apic' or 'pic'"
             raise field_error(self, "dilatation", message)
-        return self
-
-    @model_validator(mode="after")
-    def _check_pressure(self) -> "Accuracy":
-        if self.pressure == "explicit":
-            return self
-        for key, value in (
-            ("transfer", "apic"), ("volume_correction", "none"), ("dilatation", "particles")
-        ):  # fmt: skip
-            if key in self.model_fields_set and getattr(self, key) != value:
-                message = f"pressure = 'implicit' needs {key} = '{value}'"
-                raise field_error(self, key, message)
-            object.__setattr__(self, key, value)
         return self
 
     @property

@@ -34,9 +34,8 @@ class Options:
 LACKS = {
     CARD: {
         "rigid": "free rigid bodies", "joint": "joints",
-        "thin": "thin walls", "pressure": "implicit pressure",
+        "thin": "thin walls",
     },
-    "numpy": {"pressure": "implicit pressure"},
 }  # fmt: skip
 MAX_THREADS_PER_CORE, MIN_THREAD_LIMIT = 4, 32  # more would take memory for nothing
 
@@ -71,21 +70,18 @@ def check(options: Options, ranks: SerialCommunicator) -> None:
 def check_engine(engine: str, scene: Scene) -> None:
     """Raise InvalidRunOptions, which names all of it, if a scene has what its engine lacks."""
     missing = [feature for feature in features() if engine in feature.missing_engines]
-    lacks = LACKS.get(engine, {}) | {
-        key: feature.title for feature in missing for key in feature.object_keys.model_fields
-    }
+    lacks, first = LACKS.get(engine, {}), dict[str, str]()
     paths: list[tuple] = [("joint", k) for k in range(len(scene.joint))]
     for k, obj in enumerate(scene.object):
         has = {"rigid": obj.rigid, "thin": obj.thin}
         paths += [("object", k, key) for key, value in has.items() if value]
-        paths += [("object", k, key) for feature in missing for key in feature.keys_of(obj)]
-    if scene.accuracy.pressure == "implicit":
-        paths.append(("accuracy", "pressure"))
-    first: dict[str, str] = {}
     for path in paths:
         name = "joint" if path[0] == "joint" else path[-1]
         if name in lacks:
             first.setdefault(lacks[name], scene.place(path))
+    for feature in missing:
+        for path in feature.key_paths(scene)[:1]:
+            first.setdefault(feature.title, scene.place(path))
     if first:
         absent = ", ".join(f"no {title}: {place}" for title, place in first.items())
         raise InvalidRunOptions(f"engine {engine} has {absent}; engine cpu has")

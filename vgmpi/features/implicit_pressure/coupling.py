@@ -2,7 +2,7 @@
 
 The nodes have the velocities of all other forces. A first system finds the pressures of the cells,
 and a second one the displacements that spread what crowds; particles take both up when they gather
-(kernels/transfer/pressure_transfer.py). The number of sweeps is fixed, so that all ranks agree.
+(pressure_transfer.py). The number of sweeps is fixed, so that all ranks agree.
 See docs/explanation/implicit-pressure.md.
 """
 
@@ -12,14 +12,17 @@ from typing import NamedTuple
 import numpy as np
 
 from vgmpi.features.active_feature import ActiveFeature, NodeState, StartContext
-from vgmpi.kernels.grid import pressure_system
-from vgmpi.kernels.grid.pressure_system import Lattice, PressureFields
 from vgmpi.kernels.step_records import StepSpan
 from vgmpi.parallel.block_lattice import BLOCK_EDGE
 from vgmpi.parallel.block_ownership import BlockDirectory
 from vgmpi.parallel.cell_exchange import CellExchange, cell_topology
-from vgmpi.parallel.exchange_topology import PARTICLE_PRESSURE, ExchangeTopology
+from vgmpi.parallel.exchange_topology import ExchangeTopology
 from vgmpi.runtime.aligned_arrays import aligned_zeros
+
+from . import pressure_system
+from .plan import DISPLACEMENT
+from .pressure_system import Lattice, PressureFields
+from .pressure_transfer import PARTICLE_PRESSURE
 
 MAX_EIGENVALUE = 8.0 / 3.0  # of the system in space, each row over its diagonal
 # With fewer blocks, one thread sweeps faster than two that wait for each other at every sweep: two
@@ -63,7 +66,7 @@ class ImplicitPressure(ActiveFeature):
         """Take the constants of a plan, which has one liquid of one density."""
         plan = self.plan = context.plan
         self.lattice, self.ranks, self.threads = context.lattice, context.ranks, context.threads
-        group = next(group for group in plan.groups if group.implicit_pressure)
+        group = next(group for group in plan.groups if group.separate_pressure)
         self.mass_of_cell = group.density * plan.dx**3
         # relative pressure of a particle per potential of a cell and inverse time step
         self.stiffness = float(group.law.k) / (group.density * plan.dx**2)  # type: ignore[attr-defined]
@@ -143,7 +146,7 @@ class ImplicitPressure(ActiveFeature):
         self._each(cells, pressure_system.set_excess, self.grid, fields)
         self._solve(cells, wet, 1)
         self._each(wet, pressure_system.respond, self.grid, fields)
-        moves = nodes.gathered["displacement"]
+        moves = nodes.gathered[DISPLACEMENT]
         moves[:] = 0
         self._each(wet, pressure_system.store_moves, fields, moves)
 
@@ -180,8 +183,3 @@ class ImplicitPressure(ActiveFeature):
 
     def _call(self, thread: int, rows: Sequence[np.ndarray], kernel, arguments: tuple) -> None:
         self.nodes.call(kernel, rows[thread], *arguments)
-
-
-def start(context: StartContext) -> ImplicitPressure | None:
-    """Return the implicit pressure of a run, or None."""
-    return ImplicitPressure(context) if context.plan.implicit_pressure else None

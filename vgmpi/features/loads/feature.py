@@ -22,6 +22,7 @@ class Loads(SceneFeature):
 
     name = title = "loads"
     lists = {"load": TableList({"": Load})}
+    pushes_alone = True
 
     def check_list(self, name: str, raw: list[dict], tables: SceneTables) -> Errors:
         """Return the errors of the loads.

@@ -32,7 +32,7 @@ class Momentum(NamedTuple):
 class MomentumWithoutPressure(NamedTuple):
     """Contribution of momentum, mass and the impulse of deviatoric stress.
 
-    Pressure acts by cells (liquid_volume.py) or implicitly (kernels/grid/pressure_system.py).
+    Pressure acts by cells (liquid_volume.py) or by a feature.
     """
 
     mirror: float  # code of nodal_fields/field_protocol.py
@@ -58,7 +58,7 @@ def contribution_kinds(
     """Return the contributions of a group's particles with and without their stress."""
     real = plan.real.type
     numbers = [real(v) for v in (MIRROR_IMPULSE, plan.splines, group.density, plan.affine, plan.dx)]
-    has_own_pressure = group.cell_dilatation or group.implicit_pressure
+    has_own_pressure = group.cell_dilatation or group.separate_pressure
     kind = MomentumWithoutPressure if has_own_pressure else Momentum
     return kind(*numbers), MomentumWithoutStress(*numbers)
 

@@ -2,7 +2,7 @@
 
 The kinds are: nothing; the volume flux and the drift where phases share space; the change of
 velocity for FLIP; or all of these. Further kinds are those of liquid_volume.py, which combine with
-any of the others, and of pressure_transfer.py.
+any of the others, and of features (features/implicit_pressure/pressure_transfer.py).
 
 Each kind implements one interface: it loads patches of nodes for a segment (`load_patches`),
 gathers from them for a batch of particles (`gather_batch`), and says how the result enters the

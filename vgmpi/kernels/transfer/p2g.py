@@ -41,7 +41,7 @@ from vgmpi.kernels.simd.vector16 import pointer
 from vgmpi.kernels.wall_boundary import fold_ghost_momentum
 from vgmpi.runtime.jit import kernel
 
-from . import liquid_volume, pressure_transfer  # noqa: F401  (contributions)
+from . import liquid_volume  # noqa: F401  (contributions)
 
 
 @kernel

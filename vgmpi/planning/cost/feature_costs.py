@@ -65,8 +65,8 @@ def group_features(
         result.append(Feature("particle shifting", pace.fluid * cost))
     if group.cell_dilatation:
         result.append(Feature("dilatation by cells", pace.fluid * costs.cell_dilatation))
-    if group.implicit_pressure:
-        result.append(Feature("implicit pressure", pace.fluid * costs.implicit_pressure))
+    own_costs = ((feature.title, feature.particle_cost(group)) for feature in plan.features)
+    result += [Feature(title, pace.fluid * cost) for title, cost in own_costs if cost is not None]
     if group.space:
         result.append(Feature("density correction", pace.fluid * costs.density_correction))
     if group.coefficients:

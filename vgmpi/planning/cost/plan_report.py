@@ -5,13 +5,13 @@ Time, memory and disk come first, then steps, warnings and advice; details follo
 
 import math
 
-from vgmpi.planning.implicit_pressure_rules import suits_implicit_pressure
 from vgmpi.planning.plan import Plan, time_step_bounds
 from vgmpi.planning.region_groups import group_counts
 from vgmpi.runtime.config.toml_source import escape_control_characters
 from vgmpi.runtime.message_text import format_duration
 from vgmpi.runtime.process_limits import format_bytes
 from vgmpi.scene.scene import Scene
+from vgmpi.scene.scene_feature import features
 
 from . import tradeoff_results
 from .feature_costs import step_ns
@@ -66,7 +66,7 @@ def format_plan(
     lines += [file_size_line(scene, plan), *answers[1:]]
     lines += [f"  warning     {line}" for line in warning_lines(scene, plan)]
     lines += [f"  note        {line}" for line in note_lines(scene, plan)]
-    lines += _pressure(scene, plan) + advice
+    lines += _advice(scene, plan) + advice
     return "\n".join(lines + (plan_details(scene, plan, pace) if details else []))
 
 
@@ -95,17 +95,9 @@ def _unknown_part(scene: Scene, plan: Plan, pilot: PilotRun | None) -> str:
     return ""
 
 
-def _pressure(scene: Scene, plan: Plan) -> list[str]:
-    """Return a line on scenes for which an implicit pressure is the better choice."""
-    bounds = time_step_bounds(scene, plan)
-    viscous = [bound for bound, cause in bounds if "viscosity" in cause]
-    is_bound_by_waves = not plan.fixed_dt and min(viscous, default=math.inf) > 4.0 * bounds[0][0]
-    if not (is_bound_by_waves and suits_implicit_pressure(scene, plan.groups, plan.phases)):
-        return []
-    return [
-        '  pressure    accuracy.pressure = "implicit" suits this scene: 3 to 11 times fewer steps,'
-        " at equal or smaller error"
-    ]
+def _advice(scene: Scene, plan: Plan) -> list[str]:
+    """Return lines on features that would suit the scene."""
+    return [line for feature in features() for line in feature.advice_lines(scene, plan)]
 
 
 def _steps(

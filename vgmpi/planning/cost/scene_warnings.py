@@ -58,7 +58,7 @@ def _stiff_liquids(scene: Scene, plan: Plan) -> list[str]:
     drop = sum(abs(g) * n * plan.dx for g, n in zip(plan.gravity, plan.cells, strict=True))
     is_driven = any(feature.drives_motion for feature in plan.features)
     is_driven |= any(obj.motion is not None for obj in scene.object)
-    if plan.fixed_dt or plan.implicit_pressure or plan.gravity_keys or is_driven or not drop:
+    if plan.fixed_dt or scene.is_free_of_waves or plan.gravity_keys or is_driven or not drop:
         return []
     bounds = time_step_bounds(scene, plan)
     dt, cause = bounds[0]

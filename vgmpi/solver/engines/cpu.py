@@ -91,7 +91,7 @@ class Cpu(KernelCaller):
         # auxiliary nodal values that particles gather, by name
         has_change = plan.keeps is not None
         self.gathered = {"flux": plan.rules is not None, "drift": plan.drifts, "change": has_change}
-        self.gathered |= {"displacement": True} if plan.implicit_pressure else {}
+        self.gathered |= {name: True for each in plan.features for name in each.gathered}
         self.beside = {
             name: aligned_zeros((0, reproducible_sums.BLOCK), plan.real) for name in self.gathered
         }

@@ -10,7 +10,6 @@ from vgmpi.kernels.step_records import AccumulatorOverflow
 from vgmpi.kernels.transfer import auxiliary_gather, g2p
 from vgmpi.kernels.transfer.auxiliary_gather import MixtureFlipGather
 from vgmpi.kernels.transfer.liquid_volume import CellDilatation, DensityCorrected
-from vgmpi.kernels.transfer.pressure_transfer import ImplicitPressure
 from vgmpi.parallel.block_lattice import position_limits
 from vgmpi.parallel.exchange_topology import ExchangeTopology
 from vgmpi.parallel.particle_group import ParticleGroup
@@ -62,7 +61,8 @@ def group_context(
     contributes = {name: chosen[rows] for name, chosen in tables.contributes.items()}
     is_apart = any(other.apart for other in plan.groups)
     split = contributes["impulses"] if is_apart else np.zeros(len(rows), bool)
-    gathers_more = split | group.plan.cell_dilatation | group.plan.implicit_pressure
+    gathers_more = split | group.plan.cell_dilatation
+    gathers_more |= any(feature.gathers(group.plan) for feature in plan.features)
     segments = Segments(
         group.start, group.count, tables.table[rows], target, gathers_more,
         position_limits(group.block, plan.cells), mirror,
@@ -125,9 +125,10 @@ def _kind_without_correction(plan: Plan, group: GroupPlan, auxiliary: dict, dt: 
     """Return the kind of gather without the density correction."""
     if group.cell_dilatation:
         return CellDilatation(0.0)
-    if group.implicit_pressure:
-        exponent = group.law.gamma  # type: ignore[attr-defined]
-        return ImplicitPressure(auxiliary["displacement"], exponent)
+    for feature in plan.features:
+        if feature.gathers(group):
+            kind: tuple = feature.gather_kind(group, auxiliary)
+            return kind
     if not group.apart:
         return auxiliary_gather.VelocityOnly(0.0)
     sharing = auxiliary_gather.MixtureGather(

@@ -18,13 +18,12 @@ from vgmpi.kernels.nodal_fields import (
     surface_distance,
     velocity_gradient,
 )
-from vgmpi.kernels.transfer import liquid_volume, pressure_transfer
+from vgmpi.kernels.transfer import liquid_volume
 from vgmpi.parallel.exchange_topology import (
     GRADIENTS,
     NEAR_BODIES,
     NEAR_CONTACT,
     NEAR_SURFACES,
-    PARTICLE_PRESSURE,
     REST_VOLUME,
 )
 from vgmpi.planning.phases_and_groups import GroupPlan
@@ -112,15 +111,8 @@ def field_requests(plan: Plan) -> list[FieldRequest]:
             )
         )
     requests += [_field_near_surfaces(plan, name) for name in fields_near_colliders(plan)]
-    if plan.implicit_pressure:
-        requests.append(
-            FieldRequest(
-                PARTICLE_PRESSURE,
-                lambda _: pressure_transfer.accumulator_range(plan),
-                lambda group: pressure_transfer.kind(plan) if group.implicit_pressure else None,
-                is_for_couplings=True,
-            )
-        )
+    for feature in plan.features:
+        requests += feature.field_requests(plan)
     if any(phase.fills_by_volume for phase in plan.phases):
         requests.append(
             FieldRequest(

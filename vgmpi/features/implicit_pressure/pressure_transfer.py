@@ -1,7 +1,7 @@
 """Transfer of liquids with an implicit pressure: pressure to the nodes, and displacement back.
 
 The nodes receive rest volume times pressure of the particles [m3], relative to the Tait
-coefficient: the first guess of an implicit pressure (kernels/grid/pressure_system.py). Particles
+coefficient: the first guess of an implicit pressure (pressure_system.py). Particles
 gather the displacement and the pressure of the nodes. Their volume ratio is not integrated. It is
 the one at which the law has the pressure of the grid, which is the first guess of the next step,
 and what files and checkpoints contain. The gathering is a kind of auxiliary_gather.py; see
@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vgmpi.features.field_request import FieldRequest
 from vgmpi.kernels.nodal_fields.field_protocol import (
     MIRROR_VECTOR,
     accumulate,
@@ -23,9 +24,7 @@ from vgmpi.kernels.reproducible_sums import next_power_of_two
 from vgmpi.kernels.simd.row_ops import broadcast, store_records
 from vgmpi.kernels.simd.vector16 import load, store
 from vgmpi.kernels.stencil_sums import gather_value
-from vgmpi.runtime.jit import always_inline
-
-from .auxiliary_gather import (
+from vgmpi.kernels.transfer.auxiliary_gather import (
     VelocityOnly,
     advection_velocity,
     displacement,
@@ -37,8 +36,13 @@ from .auxiliary_gather import (
     particle_velocity,
     velocity_gradient,
 )
+from vgmpi.planning.plan import Plan
+from vgmpi.runtime.jit import always_inline
 
-MAX_RELATIVE_PRESSURE = 16.0  # [-] above kernels/grid/pressure_system.MAX_PRESSURE
+from .pressure_system import MAX_PRESSURE
+
+PARTICLE_PRESSURE = "particle pressure"  # name of the field
+MAX_RELATIVE_PRESSURE = MAX_PRESSURE + 1.0  # [-] beyond what the system gives to particles
 
 
 class ParticlePressure(NamedTuple):
@@ -47,14 +51,16 @@ class ParticlePressure(NamedTuple):
     mirror: float  # code of nodal_fields/field_protocol.py
 
 
-def kind(plan) -> ParticlePressure:
-    """Return the contribution of particles to the field, mirrored at walls as their mass is."""
-    return ParticlePressure(plan.real.type(MIRROR_VECTOR))
-
-
-def accumulator_range(plan) -> np.ndarray:
-    """Return the scales of the sums, powers of two, shape (phases, 4)."""
-    return np.full((len(plan.phases), 4), next_power_of_two(MAX_RELATIVE_PRESSURE * plan.dx**3))
+def request_particle_pressure(plan: Plan) -> FieldRequest:
+    """Return the request for the field, mirrored at walls as the mass of the particles is."""
+    kind = ParticlePressure(plan.real.type(MIRROR_VECTOR))
+    scale = next_power_of_two(MAX_RELATIVE_PRESSURE * plan.dx**3)
+    return FieldRequest(
+        PARTICLE_PRESSURE,
+        lambda _: np.full((len(plan.phases), 4), scale),
+        lambda group: kind if group.separate_pressure else None,
+        is_for_couplings=True,
+    )
 
 
 @always_inline
@@ -76,7 +82,7 @@ def _particle_pressure(kind, law, count, offset, cap, f, extra, peak, records, d
 accumulate.of(ParticlePressure)(by_weights)
 
 
-class ImplicitPressure(NamedTuple):
+class ImplicitPressureGather(NamedTuple):
     """Kind of liquids with an implicit pressure."""
 
     moves: np.ndarray  # (node blocks, 256) [cells] displacement, and relative pressure
@@ -84,15 +90,15 @@ class ImplicitPressure(NamedTuple):
 
 
 for _dispatch in (particle_velocity, max_velocity, advection_velocity):
-    _dispatch.of(ImplicitPressure)(_dispatch.table[VelocityOnly])
+    _dispatch.of(ImplicitPressureGather)(_dispatch.table[VelocityOnly])
 
 
-@load_patches.of(ImplicitPressure)
+@load_patches.of(ImplicitPressureGather)
 def _(kind, blocks, box, mirror, real, ghosts, s):
     load_mirrored_patch(kind.moves, blocks, box, mirror, patch_of(real, 0), None, s)
 
 
-@gather_batch.of(ImplicitPressure)
+@gather_batch.of(ImplicitPressureGather)
 def _(kind, count, weights, records, base, real, extra):
     """Gather the displacement [cells] and the relative pressure."""
     gather_value(count, records, weights, base, patch_of(real, 0))
@@ -101,7 +107,7 @@ def _(kind, count, weights, records, base, real, extra):
         extra[3 * BATCH + n] = records[16 * n + 3]
 
 
-@displacement.of(ImplicitPressure)
+@displacement.of(ImplicitPressureGather)
 def _(kind, extra, n, moves):
     x, y, z = moves
     return (
@@ -111,7 +117,7 @@ def _(kind, extra, n, moves):
     )
 
 
-@velocity_gradient.of(ImplicitPressure)
+@velocity_gradient.of(ImplicitPressureGather)
 def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
     """Set the volume ratio by the pressure, and return the gradient without its trace."""
     c0, c1, c2, c3, c4, c5, c6, c7, c8 = L
@@ -120,6 +126,6 @@ def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
     return (c0 - third, c1, c2, c3, c4 - third, c5, c6, c7, c8 - third)
 
 
-@mixture_wave_speed_squared.of(ImplicitPressure)
+@mixture_wave_speed_squared.of(ImplicitPressureGather)
 def _(kind, f, p, cap, numbers, wave2):
     return 0.0 * wave2
