@@ -207,12 +207,12 @@ def simulate(
         print(sim.code, sim.time)
         ```
     """
-    from .solver import run as runs
     from .solver.diagnostics.progress import is_interactive, shown_progress
+    from .solver.run import Options, prepared_run
 
-    options = runs.Options(
+    options = Options(
         None if folder is None else Path(folder), threads, engine, overwrite=overwrite, steered=True
     )
-    with runs.prepared_run(scene, ranks or init_communicator(), options) as inner:
+    with prepared_run(scene, ranks or init_communicator(), options) as inner:
         with shown_progress(inner, is_interactive() if progress is None else progress):
             yield Run(inner)

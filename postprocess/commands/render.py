@@ -126,7 +126,7 @@ def main(argv: list[str] | None = None) -> int:
     try:
         if ranks is None:
             return _draw(*_prepare(args), args, None)
-        painter, output, folder = run_on_all_ranks(ranks, lambda: _prepare(args, ranks.here))
+        painter, output, folder = run_on_all_ranks(ranks, lambda: _prepare(args, ranks.local_size))
         return _draw(painter, output, folder, args, ranks)
     except OtherRankError:
         return 2

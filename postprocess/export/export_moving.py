@@ -86,7 +86,7 @@ def export_page(args: argparse.Namespace, numbers: list[int], run: RunReader, pa
     motion = RunMotion(look, numbers[len(numbers) // 2], not args.no_scenery)
     accuracy = args.accuracy or ACCURACY
     groups = web_page.groups_as_drawn(motion.groups, chosen)
-    writer = MotionWriter(groups, motion.rest, cell=look.cell_size(), accuracy=accuracy)
+    writer = MotionWriter(groups, motion.rest_gaussians, cell=look.cell_size(), accuracy=accuracy)
     for index in tqdm(numbers, unit="frame", disable=True if args.quiet else None):
         frame = look.frame(index)
         writer.add_frame(float(run.times[index]), motion.states(frame), motion.poses(frame))
@@ -97,7 +97,7 @@ def export_page(args: argparse.Namespace, numbers: list[int], run: RunReader, pa
     image_io.write(path, web_page.assemble_page(writer.to_bytes(view), title))
     size = path.stat().st_size / 1e6
     message = "%d frames of %d Gaussians, %.1f MB"
-    log.info(message, len(numbers), len(motion.rest.x), size)
+    log.info(message, len(numbers), len(motion.rest_gaussians.x), size)
 
 
 def export_usd(args: argparse.Namespace, numbers: list[int], run: RunReader, path: Path) -> None:
@@ -124,7 +124,7 @@ def export_usd(args: argparse.Namespace, numbers: list[int], run: RunReader, pat
     with tempfile.TemporaryDirectory(dir=path.parent, prefix=".usd") as temporary:
         layer = Path(temporary) / f"{path.stem}{'.usdc' if path.suffix == '.usdz' else path.suffix}"
         stage = usd_stage.UsdStage(
-            layer, motion.groups, motion.rest, frames=len(numbers), rate=rate
+            layer, motion.groups, motion.rest_gaussians, frames=len(numbers), rate=rate
         )
         stage.add_light((chosen.light.light() if chosen.light else Light()).direction)
         colliders, without = collider_meshes(run.objects, run.scene)
@@ -149,4 +149,4 @@ def export_usd(args: argparse.Namespace, numbers: list[int], run: RunReader, pat
             layer = package
         layer.replace(path)
     message = "%d frames of %d Gaussians, %.1f MB"
-    log.info(message, len(numbers), len(motion.rest.x), path.stat().st_size / 1e6)
+    log.info(message, len(numbers), len(motion.rest_gaussians.x), path.stat().st_size / 1e6)

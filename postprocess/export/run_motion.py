@@ -10,10 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vgmpi.gaussians import shape_evolution
-from vgmpi.gaussians import spherical_harmonics as harmonics
+from vgmpi.gaussians import shape_evolution, spherical_harmonics
 from vgmpi.gaussians.cloud import pack_symmetric, quaternion, unpack_symmetric
-from vgmpi.gaussians.formats import motion_stream as layout
+from vgmpi.gaussians.formats import motion_stream
 from vgmpi.gaussians.formats.motion_stream import GroupState, MotionGroup, RestGaussians
 from vgmpi.gaussians.formats.residual_coding import morton_order
 
@@ -51,7 +50,7 @@ class RunMotion:
 
     Attributes:
         groups: Groups in the order of the file.
-        rest: Gaussians at rest in that order.
+        rest_gaussians: Gaussians at rest in that order.
     """
 
     def __init__(self, look: Appearance, middle: int, scenery: bool = True):
@@ -73,7 +72,7 @@ class RunMotion:
         self._add_particles(frame)
         if look.passive is not None:
             self._add_carried()
-        self.rest = self._rest()
+        self.rest_gaussians = self._rest()
 
     def _add_group(self, group: MotionGroup, part: str, ids: np.ndarray, x: np.ndarray) -> None:
         """Append a group with its Gaussians `ids` in the order of their centers `x`.
@@ -99,10 +98,12 @@ class RunMotion:
         for members in scenery.moving:
             is_still[members] = False
         ids = np.flatnonzero(is_still)
-        self._add_group(MotionGroup("scenery", 0, layout.STATIC), "scenery", ids, scenery.x0[ids])
+        self._add_group(
+            MotionGroup("scenery", 0, motion_stream.STATIC), "scenery", ids, scenery.x0[ids]
+        )
         for pose, (number, members) in enumerate(zip(moving(self.look.objects), scenery.moving)):
             name = str(self.look.objects[number].get("name", number))
-            group = MotionGroup(name, 0, layout.POSED, pose=pose)
+            group = MotionGroup(name, 0, motion_stream.POSED, pose=pose)
             self._add_group(group, "scenery", members, scenery.x0[members])
 
     def _add_particles(self, frame: dict[str, np.ndarray]) -> None:
@@ -115,7 +116,7 @@ class RunMotion:
             name = str(look.objects[number].get("name", number)) if look.objects else "particles"
             shape = _shape(int(look.rule[ids[0]]), bool(look.turns[ids[0]]))
             changes = look.colors.mode == "step" or bool((look.colors.set[ids] >= 0).any())
-            group = MotionGroup(name, 0, layout.FREE, shape, self.has_colors and changes)
+            group = MotionGroup(name, 0, motion_stream.FREE, shape, self.has_colors and changes)
             self._add_group(group, "particles", ids, x[ids])
 
     def _add_carried(self) -> None:
@@ -128,7 +129,7 @@ class RunMotion:
             ids = np.flatnonzero(objects == number)
             name = str(self.look.objects[number].get("name", number)) + " (carried)"
             shape = _shape(int(passive.rule[ids[0]]), bool(passive.turns[ids[0]]))
-            group = MotionGroup(name, 0, layout.FREE, shape, self.has_colors)
+            group = MotionGroup(name, 0, motion_stream.FREE, shape, self.has_colors)
             self._add_group(group, "carried", ids, x0[ids])
 
     def _rest(self) -> RestGaussians:
@@ -193,15 +194,15 @@ class RunMotion:
         return [
             _state(group, row_of[part][ids], parts[part])
             for group, (part, ids) in zip(self.groups, self.members)
-            if group.motion == layout.FREE
+            if group.motion == motion_stream.FREE
         ]
 
 
 def _shape(rule: int, turns: bool) -> str:
     """Return how the shapes of a group change."""
     if rule == DEFORMED or turns:
-        return layout.DEFORMATION
-    return layout.FIXED if rule == FIXED else layout.SIZE
+        return motion_stream.DEFORMATION
+    return motion_stream.FIXED if rule == FIXED else motion_stream.SIZE
 
 
 def _state(group: MotionGroup, rows: np.ndarray, part: _FrameRows) -> GroupState:
@@ -209,15 +210,17 @@ def _state(group: MotionGroup, rows: np.ndarray, part: _FrameRows) -> GroupState
     present = rows >= 0
     rows = rows[present]
     size = quat = stretch = color = None
-    if group.shape == layout.SIZE:
+    if group.shape == motion_stream.SIZE:
         J = np.ones(len(rows)) if part.J is None else np.asarray(part.J)[rows]
         size = np.cbrt(np.clip(J, *shape_evolution.J_RANGE))
-    if group.shape == layout.DEFORMATION:
+    if group.shape == motion_stream.DEFORMATION:
         assert part.F is not None  # Appearance refuses a frame without
         quat, stretch = _rotation_and_stretch(np.asarray(part.F)[rows])
     if group.color:
         batch = part.batch
-        color = harmonics.rgb_from_dc(batch.color.sh[batch.rows[rows], 0].astype(np.float64))
+        color = spherical_harmonics.rgb_from_dc(
+            batch.color.sh[batch.rows[rows], 0].astype(np.float64)
+        )
     return GroupState(present, part.x[rows], size, quat, stretch, color)
 
 

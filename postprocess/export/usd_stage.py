@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from vgmpi.gaussians import spherical_harmonics as harmonics
+from vgmpi.gaussians import spherical_harmonics
 from vgmpi.gaussians.camera import Camera
 from vgmpi.gaussians.cloud import quaternion, rotation_matrices, unpack_symmetric
-from vgmpi.gaussians.formats import motion_stream as layout
+from vgmpi.gaussians.formats import motion_stream
 from vgmpi.gaussians.formats.motion_stream import GroupState, MotionGroup, RestGaussians
 from vgmpi.io.run_reader import RunError
 
@@ -104,7 +104,7 @@ class UsdStage:
             frames: Number of frames.
             rate: Frames per second of the playback.
         """
-        self.usd, self.rest = load_usd(), gaussians
+        self.usd, self.rest_gaussians = load_usd(), gaussians
         usd = self.usd
         self.stage = usd.Usd.Stage.CreateNew(str(path))
         usd.UsdGeom.SetStageUpAxis(self.stage, usd.UsdGeom.Tokens.z)
@@ -134,7 +134,7 @@ class UsdStage:
 
     def _add_group(self, group: MotionGroup, rows: slice) -> _GroupPrim:
         """Return the prim of a group with its values at rest."""
-        usd, gaussians = self.usd, self.rest
+        usd, gaussians = self.usd, self.rest_gaussians
         path = self._path(group.name)
         prim = usd.UsdVol.ParticleField3DGaussianSplat.Define(self.stage, path)
         entry = _GroupPrim(prim, rows, group)
@@ -147,7 +147,7 @@ class UsdStage:
         entry.cov = root @ root
         quat, scale = entry.tracker.advance(entry.cov)
         self._set_shapes(entry, quat, scale)
-        if group.motion != layout.FREE:
+        if group.motion != motion_stream.FREE:
             self._set_positions(entry, gaussians.x[rows], scale)
         return entry
 
@@ -188,9 +188,9 @@ class UsdStage:
         time = float(self.frame_count)
         entries = iter(states)
         for entry in self.prims:
-            if entry.group.motion == layout.POSED:
+            if entry.group.motion == motion_stream.POSED:
                 self._set_pose(entry.prim, poses[entry.group.pose], time)
-            if entry.group.motion == layout.FREE:
+            if entry.group.motion == motion_stream.FREE:
                 self._add_state(entry, next(entries), time)
         for name, camera in cameras.items():
             self._set_camera(name, camera, time)
@@ -207,16 +207,16 @@ class UsdStage:
 
     def _add_state(self, entry: _GroupPrim, state: GroupState, time: float) -> None:
         """Write the samples of a FREE group."""
-        present, gaussians = state.present, self.rest
+        present, gaussians = state.present, self.rest_gaussians
         entry.x[present] = state.x
         assert entry.cov is not None and entry.tracker.quat is not None
         quat = entry.tracker.quat
         root = unpack_symmetric(gaussians.root[entry.rows])[present]
-        if entry.group.shape == layout.SIZE:
+        if entry.group.shape == motion_stream.SIZE:
             assert state.size is not None
             entry.cov[present] = root @ root * (state.size**2)[:, None, None]
         rotation = None
-        if entry.group.shape == layout.DEFORMATION:
+        if entry.group.shape == motion_stream.DEFORMATION:
             assert state.quat is not None and state.stretch is not None
             rotation = rotation_matrices(state.quat)
             shape = rotation @ unpack_symmetric(state.stretch) @ root
@@ -226,9 +226,9 @@ class UsdStage:
             axes = rotation_matrices(quat)
             values = np.einsum("nij,nik,nkj->nj", axes, entry.cov, axes)
             scale = np.sqrt(np.maximum(values, 0.0))
-        if entry.group.shape == layout.DEFORMATION:
+        if entry.group.shape == motion_stream.DEFORMATION:
             self._set_shapes(entry, quat, scale, time)
-        elif entry.group.shape == layout.SIZE:
+        elif entry.group.shape == motion_stream.SIZE:
             sizes = self.usd.Vt.Vec3fArray.FromNumpy(_single(scale))
             entry.prim.GetScalesAttr().Set(sizes, time)
         self._set_positions(entry, entry.x, scale, time)
@@ -239,21 +239,21 @@ class UsdStage:
         self, entry: _GroupPrim, state: GroupState, rotation: np.ndarray | None, time: float
     ) -> None:
         """Write colors that turn with a body or are stored in the frames."""
-        sh = self.rest.sh[entry.rows]
+        sh = self.rest_gaussians.sh[entry.rows]
         if rotation is not None and not (sh[:, 1:] != 0).any():
             rotation = None
         if rotation is None and state.color is None:
             return
         sh = sh.copy()
         if rotation is not None:
-            sh[state.present] = harmonics.rotate(sh[state.present], rotation)
+            sh[state.present] = spherical_harmonics.rotate(sh[state.present], rotation)
         if state.color is not None:
-            sh[state.present, 0] = harmonics.dc_from_rgb(state.color)
+            sh[state.present, 0] = spherical_harmonics.dc_from_rgb(state.color)
         self._set_colors(entry, sh, time)
 
     def _set_presence(self, entry: _GroupPrim, present: np.ndarray, time: float) -> None:
         """Write the opacities from the first frame on in which a Gaussian is absent."""
-        opacity = self.rest.opacity[entry.rows]
+        opacity = self.rest_gaussians.opacity[entry.rows]
         attribute = entry.prim.GetOpacitiesAttr()
         if present.all() and entry.was_complete:
             return
@@ -274,7 +274,7 @@ class UsdStage:
             offset = APERTURE * (0.5 - camera.cx / camera.width)
             prim.CreateHorizontalApertureOffsetAttr(offset)
             prim.CreateVerticalApertureOffsetAttr(height * (camera.cy / camera.height - 0.5))
-            prim.CreateClippingRangeAttr(usd.Gf.Vec2f(camera.near, 1e4))
+            prim.CreateClippingRangeAttr(usd.Gf.Vec2f(camera.near_plane, 1e4))
         prim.CreateFocalLengthAttr().Set(APERTURE * camera.fx / camera.width, time)
         pose = np.eye(4)
         pose[:3, :3] = camera.world_to_camera[:3, :3].T * [1, -1, -1]

@@ -130,7 +130,7 @@ class CameraPath:
             near_distance = max(
                 min(NEAR_PLANE, 0.05 * float(np.linalg.norm(self._center() - camera.eye))), 1e-6
             )
-        return dataclasses.replace(camera, near=near_distance)
+        return dataclasses.replace(camera, near_plane=near_distance)
 
 
 def _cameras_of_file(settings: CameraSettings, folder: Path) -> list[Camera]:

@@ -4,8 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vgmpi.gaussians import compiled_evolution, shape_evolution
-from vgmpi.gaussians import spherical_harmonics as harmonics
+from vgmpi.gaussians import compiled_evolution, shape_evolution, spherical_harmonics
 
 from ..raster.rasterize import ProjectableGaussians
 
@@ -22,7 +21,7 @@ class ViewColors:
 
     def __init__(self, sh: np.ndarray):
         self.sh = sh
-        self.plain = harmonics.evaluate(sh[:, :1], np.zeros((len(sh), 3)))
+        self.plain = spherical_harmonics.evaluate(sh[:, :1], np.zeros((len(sh), 3)))
         self.view_dependent = np.zeros(len(sh), dtype=bool)
         if sh.shape[1] > 1:
             self.view_dependent = (sh[:, 1:] != 0).any(axis=(1, 2))
@@ -103,7 +102,9 @@ class GaussianBatch(NamedTuple):
         sh = np.array(self.color.sh[self.rows], dtype=np.float32)
         if len(self.turning):
             assert self.F is not None
-            sh[self.turning] = harmonics.rotate(sh[self.turning], shape_evolution.rotation(self.F))
+            sh[self.turning] = spherical_harmonics.rotate(
+                sh[self.turning], shape_evolution.rotation(self.F)
+            )
         return sh
 
 

@@ -191,7 +191,7 @@ def _meets(floor: GroundPlane, camera: Camera) -> tuple[np.ndarray, np.ndarray, 
     down = -drift[..., 2]
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = (eye[2] - floor.height) / down
-        is_ground = (down > 0) & (depth >= camera.near) & (depth < 1e6)
+        is_ground = (down > 0) & (depth >= camera.near_plane) & (depth < 1e6)
     return depth, drift, is_ground
 
 

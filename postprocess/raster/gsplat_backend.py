@@ -69,7 +69,7 @@ def render(
             Ks=on_card(lens[None]),
             width=camera.width,
             height=camera.height,
-            near_plane=float(camera.near),
+            near_plane=float(camera.near_plane),
             eps2d=variance,
             rasterize_mode=rasterize_mode,
             render_mode="RGB" if depth is None else "RGB+ED",
@@ -105,7 +105,7 @@ def _filter(splats, camera: Camera, lowpass, antialias) -> tuple[float, np.ndarr
         text = "set lowpass, or antialias, for all"
         raise BackendError(f'backend "gsplat" adds one lowpass to all Gaussians: {text}')
     visible_ids = np.empty(len(splats.x), np.int64)
-    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.near], dtype=np.float64)
+    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.near_plane], np.float64)
     _, looks, _, depth = project(
         np.ascontiguousarray(splats.x),
         np.ascontiguousarray(splats.cov),

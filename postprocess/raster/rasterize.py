@@ -110,7 +110,7 @@ def project_splats(
     return project(
         x, cov, opacity, color,
         np.ascontiguousarray(camera.world_to_camera, dtype=np.float64),
-        np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.near], dtype=np.float64),
+        np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.near_plane], dtype=np.float64),
         camera.height,
         camera.width,
         *resolve_lowpass(splats, lowpass, antialias),

@@ -73,7 +73,7 @@ class Stage(NamedTuple):
 def view_of(camera: Camera) -> View:
     """Return an empty view of a camera, as large as its picture."""
     shape = (camera.height, camera.width)
-    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.near])
+    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.near_plane])
     pose = np.ascontiguousarray(camera.world_to_camera, dtype=np.float64)
     light, background = (np.zeros((*shape, 3), np.float32) for _ in range(2))
     depth = np.full(shape, np.inf, np.float32)

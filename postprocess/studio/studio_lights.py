@@ -7,8 +7,7 @@ import numpy as np
 
 from ..frames import image_io
 from ..frames.render_config import Settings
-from . import light_rig, studio_ground
-from . import tone_mapping as display
+from . import light_rig, studio_ground, tone_mapping
 from .studio_bodies import Domain
 
 DIRECTION = (0.55, 0.35, -1.0)  # travel direction of the key light
@@ -56,11 +55,11 @@ def ground_of(
             tile = floor.tile_size
     elif kind == studio_ground.TILES:
         tile = 0.12 * _round(float(np.max(domain.size[:2])) / 0.96)
-    backdrop = display.scene_linear(np.array(back, dtype=np.float64), chosen.toned)
+    backdrop = tone_mapping.scene_linear(np.array(back, dtype=np.float64), chosen.toned)
     return studio_ground.ground(
         kind, height, domain.low, domain.high, pyramid, rig,
-        display.to_linear(np.array(color)), display.to_linear(np.array(other)), tile, backdrop,
-        lean,
+        tone_mapping.to_linear(np.array(color)), tone_mapping.to_linear(np.array(other)), tile,
+        backdrop, lean,
     )  # fmt: skip
 
 
@@ -75,10 +74,10 @@ def rig_of(chosen: Settings, folder: Path) -> light_rig.Rig:
     environment, surroundings, picture = liquid_settings.environment, None, None
     if environment.picture is not None:
         photograph = image_io.photograph("liquid.environment.picture", folder / environment.picture)
-        picture = display.to_linear(photograph)
+        picture = tone_mapping.to_linear(photograph)
     elif "environment" in liquid_settings.model_fields_set:
         colors = (environment.zenith, environment.horizon, environment.ground)
-        surroundings = tuple(display.to_linear(np.array(c)) for c in colors)
+        surroundings = tuple(tone_mapping.to_linear(np.array(c)) for c in colors)
     direction = DIRECTION if light is None or light.direction is None else light.direction
     strength = {}
     if light is not None:

@@ -24,6 +24,7 @@ from ..raster.surface_canvas import draw_surfaces
 from . import (
     body_normals,
     compositing,
+    cone_occlusion,
     deferred_shading,
     density_field,
     grain_splats,
@@ -31,9 +32,8 @@ from . import (
     liquid_radiance,
     spray_drops,
     studio_ground,
+    tone_mapping,
 )
-from . import cone_occlusion as hiding
-from . import tone_mapping as display
 from .depth_of_field import defocus
 from .ray_scene import CHANNELS, Medium, Stage, no_view, view_of
 from .studio_bodies import Bodies, domain_of, tearing
@@ -143,7 +143,9 @@ class Studio:
         """Return a frame of nothing but the ground."""
         none, nowhere = np.zeros((0, 3)), np.zeros(0, np.int64)
         medium, drops = self._medium({}, 0, nowhere, none, nowhere, None)
-        pyramid = hiding.occlusion(none, np.zeros(0), none, self.domain.low, self.domain.high, 1)
+        pyramid = cone_occlusion.occlusion(
+            none, np.zeros(0), none, self.domain.low, self.domain.high, 1
+        )
         plane = studio_ground.close_rim(ground_of(self.chosen, self.domain, pyramid, self.rig))
         return Moment([], [], [], [], None, medium, pyramid, plane, drops, False)
 
@@ -173,13 +175,13 @@ class Studio:
         if self.quick:
             cells = max(int(PREVIEW_RESOLUTION * cells), 1)
         low, high = self.domain.low, self.domain.high
-        cell = hiding.cell_size(low, high, cells)
+        cell = cone_occlusion.cell_size(low, high, cells)
         xs, volumes, colors = [np.zeros((0, 3))], [np.zeros(0)], [np.zeros((0, 3))]
         for k, g in enumerate(opaque[: main + 1]):  # the bodies of carried Gaussians included
             xs.append(g.x)
             volume = self.bodies.scenery_volumes(cell) if k < main else self.look.vol0[ids[solid]]
             volumes.append(volume)
-            colors.append(display.to_linear(np.clip(_base_color(g), 0, 1)))
+            colors.append(tone_mapping.to_linear(np.clip(_base_color(g), 0, 1)))
         if self.bodies.skins:
             inside, filling = self.bodies.scenery_filling(cell, frame)
             xs.append(inside)
@@ -188,9 +190,11 @@ class Studio:
         if len(granular):
             xs.append(x[granular])
             volumes.append(self.look.vol0[ids[granular]])
-            colors.append(display.to_linear(np.clip(_base_color(part.subset_rows(granular)), 0, 1)))
+            colors.append(
+                tone_mapping.to_linear(np.clip(_base_color(part.subset_rows(granular)), 0, 1))
+            )
         points, volume, color = map(np.concatenate, (xs, volumes, colors))
-        return hiding.occlusion(points, volume, color, low, high, cells)
+        return cone_occlusion.occlusion(points, volume, color, low, high, cells)
 
     def _medium(self, frame, index, ids, x, rows, part) -> tuple[Medium, tuple]:
         """Return the liquid and its drops."""
@@ -205,7 +209,7 @@ class Studio:
             velocity = _velocities(frame["velocity"], rows)
         spacing = bodies.spacing[ids[rows]]
         s = float(np.median(spacing))
-        color = display.to_linear(np.clip(_base_color(part.subset_rows(rows)), 0, 1))
+        color = tone_mapping.to_linear(np.clip(_base_color(part.subset_rows(rows)), 0, 1))
         clear = chosen.absorption_length
         if clear is None:
             low, high = self.box()
@@ -330,7 +334,7 @@ class Studio:
             return np.zeros((fine.height, fine.width, 3), np.float32)
         if not self.chosen.picture.on_photograph:
             return np.zeros((1, 1, 3), np.float32)
-        linear = display.scene_linear(np.asarray(picture, dtype=np.float64), self.chosen.toned)
+        linear = tone_mapping.scene_linear(np.asarray(picture, dtype=np.float64), self.chosen.toned)
         enlarged = linear.astype(np.float32).repeat(self.times, axis=0).repeat(self.times, axis=1)
         return np.ascontiguousarray(enlarged)
 
@@ -344,14 +348,14 @@ class Studio:
             normals.append(np.empty_like(normal))
             body_normals.face_eye(body.x, normal, np.asarray(eye, np.float64), normals[-1])
             color = body.color if shade is None else body.color / shade[:, None]
-            bodies.append(replace(body, color=display.to_linear(np.clip(color, 0, 1))))
+            bodies.append(replace(body, color=tone_mapping.to_linear(np.clip(color, 0, 1))))
         if moment.grain is not None:
             x, ids, gap, stretch, color, sandy, heap, floor = moment.grain
             look, count = self.chosen.look, self.chosen.look.grains_per_particle
             sand = grain_splats.grains(
                 x, ids, gap, stretch, color, sandy, heap, eye, floor, count, look.dust
             )
-            color = display.to_linear(sand.color)
+            color = tone_mapping.to_linear(sand.color)
             bodies.append(ProjectableGaussians(sand.x, sand.cov, sand.opacity, color))
             normals.append(sand.normal)
             kinds.append(

@@ -171,7 +171,7 @@ def _predictions(study, args) -> bool:
     for scene in args.scenes:
         results.append(study.measure(scene))
         print(study.row(results[-1]), flush=True)
-    return all(result.holds for result in results)
+    return all(result.is_accurate for result in results)
 
 
 def _step_model(study, args) -> list:

@@ -123,7 +123,7 @@ class TwoBodyBox(Box):
         """The most energy [J] with short steps, at least what was put in; infinite where even these
         are not stable."""
         initial_energy = float((0.5 * self.mass * (self._velocity**2).sum(1)).sum())
-        volume = np.bincount(self.made.object, self.made.vol0)
+        volume = np.bincount(self.built.object, self.built.vol0)
         initial_energy += float((self._pressure**2 * volume / self._stiff).sum())
         return max(
             initial_energy,
@@ -141,8 +141,8 @@ class TwoBodyBox(Box):
     @property
     def _velocity(self) -> np.ndarray:
         """At the start (n, 3) [m/s]."""
-        speed = SPEED * np.sqrt(self._stiff.min() / self.density)[self.made.object]
-        return speed[:, None] * np.random.default_rng(3).uniform(-1, 1, self.made.x.shape)
+        speed = SPEED * np.sqrt(self._stiff.min() / self.density)[self.built.object]
+        return speed[:, None] * np.random.default_rng(3).uniform(-1, 1, self.built.x.shape)
 
     @property
     def _pressure(self) -> float:
@@ -155,7 +155,7 @@ class TwoBodyBox(Box):
         return float(self.mass.sum()) / (WIDE * self.plan.dx) ** 2
 
 
-def largest(pair: Pair) -> float:
+def max_stable_step(pair: Pair) -> float:
     """The largest stable step over the default one; the last of RUNGS where these end first, 0
     where SURE times the default is not stable. Raises SceneError where the scene refuses it."""
     bodies = TwoBodyBox(pair)
@@ -273,7 +273,7 @@ def _cell(text: str) -> str:
 
 def _found(pair: Pair) -> str:
     try:
-        factor = largest(pair)
+        factor = max_stable_step(pair)
     except SceneError:
         return "refused"
     if not REFERENCE_FACTOR <= factor < STEP_LADDER[-1]:

@@ -46,7 +46,7 @@ class Thing(NamedTuple):
 class View(NamedTuple):
     """The camera of a photograph, and what is in it."""
 
-    things: list[Thing]
+    objects: list[Thing]
     fov: float = 40.0  # [deg]
     pitch: float = 10.0  # [deg]
 
@@ -55,9 +55,9 @@ class Row(NamedTuple):
     """What became of a photograph."""
 
     picture: str
-    things: str
+    objects: str
     codes: tuple[int, ...]  # exit codes of `vgmpi photo` and of the run
-    least: float  # [cells] least height of a particle above the floor
+    min_height: float  # [cells] least height of a particle above the floor
     end: float  # [s]
 
 
@@ -113,7 +113,7 @@ def layout_of(view: View, scale: float, cells: int, end: str) -> str:
     """Return the text of a layout.toml; scale: of the picture's pixels."""
     head = SCENE.format(fov=view.fov, pitch=view.pitch, cells=cells, end=end)
     text = head
-    for thing in view.things:
+    for thing in view.objects:
         box = [round(edge * scale) for edge in thing.box]
         text += THING.format(**{**thing._asdict(), "box": box}) + thing.more
         if thing.point is not None:
@@ -132,18 +132,18 @@ def run(names: list[str], folder: Path | None, out: Path, cells: int, end: str) 
             continue
         row = _made(picture, VIEWS[name], out / name, cells, end)
         codes = ", ".join(map(str, row.codes))
-        print(f"{name} | {row.things} | {codes} | {row.least:.3f} | {row.end:g}", flush=True)
+        print(f"{name} | {row.objects} | {codes} | {row.min_height:.3f} | {row.end:g}", flush=True)
         rows.append(row)
     return rows
 
 
 def is_right(row: Row) -> bool:
     """Return whether a photograph became a scene that ran to its end above the floor."""
-    return row.codes == (0, 0) and row.least > LEAST
+    return row.codes == (0, 0) and row.min_height > LEAST
 
 
 def _made(picture: Path, view: View, out: Path, cells: int, end: str) -> Row:
-    things = ", ".join(f"{thing.name} ({thing.material})" for thing in view.things)
+    things = ", ".join(f"{thing.name} ({thing.material})" for thing in view.objects)
     out.mkdir(parents=True, exist_ok=True)
     layout, scene = out / "layout.toml", out / "scene.toml"
     with Image.open(picture) as full:

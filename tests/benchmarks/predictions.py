@@ -60,16 +60,16 @@ class Prediction(NamedTuple):
     """Steps and processor time of a scene, told and taken."""
 
     scene: str
-    told_steps: tuple[float, float]  # by the first lines of a run, and by `vgmpi plan`
+    predicted_steps: tuple[float, float]  # by the first lines of a run, and by `vgmpi plan`
     taken_steps: int
-    told: tuple[float, float]  # [s] the same
+    predicted: tuple[float, float]  # [s] the same
     taken: float  # [s]
     pilot_seconds: float  # [s] processor time of the pilot run; 0: `vgmpi plan` makes none
 
     @property
-    def holds(self) -> bool:
+    def is_accurate(self) -> bool:
         """Whether steps and time told by `vgmpi plan` are within the factor."""
-        ratios = self.told_steps[1] / self.taken_steps, self.told[1] / self.taken
+        ratios = self.predicted_steps[1] / self.taken_steps, self.predicted[1] / self.taken
         return all(1.0 / MAX_RATIO <= ratio <= MAX_RATIO for ratio in ratios)
 
 
@@ -92,10 +92,11 @@ def measure(name: str) -> Prediction:
     after = [measure_throughput(law, scene.accuracy.precision) for law in LAWS]
     fluid, elastic = (0.5 * (a + b) for a, b in zip(before, after, strict=True))
     pace = Throughput(fluid, elastic, "measured beside the run")
-    told_steps, plain = told_by_run(scene, plan, pace)
+    predicted_steps, plain = told_by_run(scene, plan, pace)
     better = plain if pilot is None else predicted_seconds(scene, plan, 1, pace, pilot)
-    with_pilot = told_steps if pilot is None else pilot.steps
-    return Prediction(name, (told_steps, with_pilot), steps, (plain, better), taken, pilot_seconds)
+    with_pilot = predicted_steps if pilot is None else pilot.steps
+    all_steps = (predicted_steps, with_pilot)
+    return Prediction(name, all_steps, steps, (plain, better), taken, pilot_seconds)
 
 
 def told_by_run(scene: Scene, plan: Plan, pace: Throughput) -> tuple[float, float]:
@@ -128,8 +129,8 @@ def play(scene: Scene) -> tuple[int, float]:
 
 def row(p: Prediction) -> str:
     """Return a row of the table."""
-    ratios = [f"{told / p.taken_steps:.2f}" for told in p.told_steps]
-    ratios += [f"{told / p.taken:.2f}" for told in p.told]
+    ratios = [f"{told / p.taken_steps:.2f}" for told in p.predicted_steps]
+    ratios += [f"{told / p.taken:.2f}" for told in p.predicted]
     pilot = f"{p.pilot_seconds:.1f} s" if p.pilot_seconds else "none"
     return f"| {p.scene} | {p.taken_steps:,} | {p.taken:.1f} s | {' | '.join(ratios)} | {pilot} |"
 

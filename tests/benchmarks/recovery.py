@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.support.fit_scenes import made
+from tests.support.fit_scenes import write_fit
 from tests.support.recovery_scenes import CASES, Case
 from vgmpi import api
 from vgmpi.postprocess.frames.image_io import to_bytes, write_png
@@ -129,7 +129,7 @@ def recover(case: Case, folder: Path, told: dict[str, np.ndarray], seed: int) ->
     text = FIT.format(
         key=case.key, low=low, high=high, initial=case.initial, target=target, grid=case.grid
     )
-    scene, fit = made(folder, case.scene, text)
+    scene, fit = write_fit(folder, case.scene, text)
     noisy(told, case.columns, folder, seed)
     file = FitFile(fit, api.load(scene))
     began = time.perf_counter()

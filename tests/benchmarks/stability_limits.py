@@ -88,14 +88,14 @@ class Box:
 
     def __init__(self, text: str):
         scene = load("scene.toml", text=text)
-        self.made = build_scene(scene)
-        self.plan = plan_for(scene, known_of(scene, self.made))
+        self.built = build_scene(scene)
+        self.plan = plan_for(scene, known_of(scene, self.built))
         self.density = np.array([self.plan.groups[g].density for g in self.plan.group_of])
-        self.mass = self.density[self.made.object] * self.made.vol0
+        self.mass = self.density[self.built.object] * self.built.vol0
 
     def begin(self, v: np.ndarray) -> Simulation:
         """At the start, jittered, with velocities v (n, 3) [m/s]."""
-        bodies = self.made
+        bodies = self.built
         simulation = Simulation(self.plan, SerialCommunicator())
         x = bodies.x + self.plan.dx * np.random.default_rng(4).uniform(-JITTER, JITTER, v.shape)
         simulation.put(x, v, bodies.vol0, np.arange(len(v)), bodies.object, surface=bodies.surface0)
@@ -125,7 +125,7 @@ class Column(Box):
         The unit is dx / (c + |v|) for a law, and the bound of the solver for couplings.
         """
         unit = 1.0 if self.case.name in COUPLED else self.case.cfl
-        bodies, still = self.made, np.zeros_like(self.made.x)
+        bodies, still = self.built, np.zeros_like(self.built.x)
         simulation = self.begin(still)
         wave = self.plan.cfl * self.plan.dx * simulation.rate  # c: nothing moves yet
         speed, height = SPEED * wave, CELLS[2] * self.plan.dx

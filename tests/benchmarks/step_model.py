@@ -47,15 +47,15 @@ class StepSample(NamedTuple):
 
     scene: str
     time: float  # [s]
-    told: StageCost  # [s] by the model
+    predicted: StageCost  # [s] by the model
     measured: StageCost  # [s]
     amounts: np.ndarray  # (costs,) [s] time of a stage in which every cost but one is zero
     weight: float  # [-] in the fit
 
     def ratios(self) -> list[float]:
         """Return told over measured in all and by stage; nan for stages that take little."""
-        pairs = [(self.told.total, self.measured.total)]
-        pairs += zip(astuple(self.told), astuple(self.measured), strict=True)
+        pairs = [(self.predicted.total, self.measured.total)]
+        pairs += zip(astuple(self.predicted), astuple(self.measured), strict=True)
         least = MIN_SHARE * self.measured.total
         return [told / m if m >= least else np.nan for told, m in pairs]
 
@@ -172,7 +172,7 @@ def run(scenes: list[str]) -> None:
             samples.append(s)
             ratios = " | ".join("" if np.isnan(ratio) else f"{ratio:.2f}" for ratio in s.ratios())
             print(
-                f"| {name} | {s.time:.2f} s | {1e3 * s.told.total:.2f} ms"
+                f"| {name} | {s.time:.2f} s | {1e3 * s.predicted.total:.2f} ms"
                 f" | {1e3 * s.measured.total:.2f} ms | {ratios} |",
                 flush=True,
             )

@@ -63,7 +63,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--count", type=int, help="cases of each; default: its full size")
     parser.add_argument("--seed", type=int, default=0, help="default 0")
     parser.add_argument(
-        "--keep", type=Path, default=ROOT / ".cache" / "campaigns", metavar="FOLDER",
+        "--keep", dest="failures", type=Path, default=ROOT / ".cache" / "campaigns",
+        metavar="FOLDER",
         help="where the cases that failed lie afterwards; default .cache/campaigns",
     )  # fmt: skip
     given = parser.parse_args(argv)
@@ -71,7 +72,7 @@ def main(argv: list[str] | None = None) -> int:
         if name not in there:
             parser.error(f"there is no campaign {name}; there are {', '.join(there)}")
     chosen = [there[name] for name in given.names or there]
-    passed = [_run(one, given.count or one.COUNT, given.seed, given.keep) for one in chosen]
+    passed = [_run(one, given.count or one.COUNT, given.seed, given.failures) for one in chosen]
     return 0 if all(passed) else 1
 
 

@@ -20,7 +20,7 @@ LAYOUT = '[[object]]\nname = "ball"\nbox = {}\nheight = "10 cm"\n[scene]\nend = 
 def words_of(name, folder, out):
     """The words of a command whose output is `out`, and which has all else that it needs."""
     if name in ("run", "prepare", "fit", "tradeoff", "energy"):
-        scene, fit = fit_scenes.made(folder, fit_scenes.SHORT, fit_scenes.FIT)
+        scene, fit = fit_scenes.write_fit(folder, fit_scenes.SHORT, fit_scenes.FIT)
         if name == "fit":
             fit_scenes.reference(folder, fit_scenes.SHORT)
             return [name, str(scene), str(fit), "-o", out]
@@ -32,7 +32,7 @@ def words_of(name, folder, out):
         return [name, str(drawn_runs.write(folder / "run", frames=1)), "-o", out]
     photo = folder / "photo.png"
     Image.fromarray(drawn_photograph.three().rgb).save(photo)
-    box = drawn_photograph.around(drawn_photograph.three().masks[0])
+    box = drawn_photograph.bounding_box(drawn_photograph.three().masks[0])
     (folder / "layout.toml").write_text(LAYOUT.format(list(map(int, box))))
     return [name, str(photo), str(folder / "layout.toml"), "-o", out]
 

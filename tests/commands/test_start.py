@@ -112,7 +112,7 @@ def test_a_plan_is_for_the_ranks_of_a_plain_run(path, free, monkeypatch, words, 
 
 
 def test_the_time_of_a_plan_is_that_on_its_ranks(path, free, monkeypatch, capsys):
-    pace = ASSUMED_THROUGHPUT["single"]._replace(of="as told")
+    pace = ASSUMED_THROUGHPUT["single"]._replace(origin="as told")
     monkeypatch.setattr(plan_command.calibration, "host_throughput", lambda *_, **__: pace)
     monkeypatch.setattr(plan_command, "default_pilot_run", lambda *_: None)
     monkeypatch.setattr(plan_command, "physical_cores", lambda: 4)

@@ -70,7 +70,7 @@ def test_a_longer_default_is_seen(monkeypatch):
 
 def test_a_scene_refuses_more_particles_per_cell():
     with pytest.raises(SceneError):
-        contrast_stability.largest(Pair(SOLIDS, per_cell=(8, 8000)))
+        contrast_stability.max_stable_step(Pair(SOLIDS, per_cell=(8, 8000)))
 
 
 @pytest.mark.parametrize("kind", ["elastic", "fluid", "sand"])

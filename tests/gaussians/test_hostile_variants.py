@@ -9,8 +9,7 @@ import pytest
 
 from tests.gaussians.test_hostile import DAMAGED, damaged_files, read_all
 from tests.support import gaussian_files as written
-from tests.support import hostile_containers, hostile_gaussians
-from tests.support import splat_containers as made
+from tests.support import hostile_containers, hostile_gaussians, splat_containers
 
 ROW = hostile_gaussians.SPZ_ROW
 SMALLEST = (*ROW[:4], (128, 128, 128), *ROW[5:])  # versions 1 and 2 have rotations of three bytes
@@ -29,15 +28,20 @@ def ksplat(level):
     """Five Gaussians of degree 0, of one full bucket above level 0."""
     rng = np.random.default_rng(level)
     x = rng.random((5, 3)) if level == 0 else rng.integers(30000, 35000, (5, 3))
-    rows = [made.ksplat_row(level, p, (0.1, 0.2, 0.3), (1, 0, 0, 0), (9, 8, 7, 200)) for p in x]
+    rows = [
+        splat_containers.ksplat_row(level, p, (0.1, 0.2, 0.3), (1, 0, 0, 0), (9, 8, 7, 200))
+        for p in x
+    ]
     if level == 0:
-        return made.ksplat_header(5) + made.ksplat_section(5) + b"".join(rows)
-    head = made.ksplat_section(5, buckets=(5, 1, 0), block=5.0, steps=32767)
+        return (
+            splat_containers.ksplat_header(5) + splat_containers.ksplat_section(5) + b"".join(rows)
+        )
+    head = splat_containers.ksplat_section(5, buckets=(5, 1, 0), block=5.0, steps=32767)
     center = np.array([1, 2, 3], "<f4").tobytes()
-    return made.ksplat_header(5, level=level) + head + center + b"".join(rows)
+    return splat_containers.ksplat_header(5, level=level) + head + center + b"".join(rows)
 
 
-SOG_1, MEMBERS_1, _ = made.sog_members(version=1)
+SOG_1, MEMBERS_1, _ = splat_containers.sog_members(version=1)
 GOOD = {
     "text": (".ply", written.table(COLUMNS, "ascii")),
     "little-endian": (".ply", written.table(COLUMNS, "<")),
@@ -48,7 +52,7 @@ GOOD = {
     "version 2": (".spz", written.spz([SMALLEST] * 50, version=2)),
     "version 3": (".spz", hostile_gaussians.SPZ_GOOD),
     "version 4": (".spz", hostile_gaussians.SPZ4_GOOD),
-    "without a version": (".sog", made.sog(SOG_1, MEMBERS_1)),
+    "without a version": (".sog", splat_containers.sog(SOG_1, MEMBERS_1)),
     "with a version": (".sog", hostile_containers.SOG_GOOD),
     "one file": (".glb", hostile_containers.GLB_GOOD),
     "two files": (".gltf", gltf("good.bin")),

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.support import splat_containers as made
+from tests.support import splat_containers
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import registry, sog
 
@@ -37,8 +37,8 @@ def unlog(values):
 
 
 def test_version_2_by_hand(tmp_path):
-    meta, members, pixels = made.sog_members()
-    got = read(tmp_path / "a.sog", made.sog(meta, members))
+    meta, members, pixels = splat_containers.sog_members()
+    got = read(tmp_path / "a.sog", splat_containers.sog(meta, members))
     assert len(got) == 5 and got.sh.shape == (5, 4, 3)
     assert got.record.encoding == ".sog, version 2" and not got.is_antialiased
     # Gaussian 2: the third pixel; low bytes 2, 20, 253; high bytes 0, 80, 155
@@ -59,8 +59,8 @@ def test_version_2_by_hand(tmp_path):
 
 def test_version_1_by_hand(tmp_path):
     """Bounds instead of codebooks; the opacity is a logit."""
-    meta, members, pixels = made.sog_members(version=1)
-    got = read(tmp_path / "a.sog", made.sog(meta, members))
+    meta, members, pixels = splat_containers.sog_members(version=1)
+    got = read(tmp_path / "a.sog", splat_containers.sog(meta, members))
     assert len(got) == 5 and got.record.encoding == ".sog, version 1"
     k = np.array([3, 4, 5]) / 255
     np.testing.assert_allclose(
@@ -121,8 +121,8 @@ def test_another_reader_finds_the_same_numbers(tmp_path, monkeypatch):
     ],
 )
 def test_how_it_was_trained_is_told(tmp_path, change, is_antialiased, says):
-    meta, members, _ = made.sog_members()
-    got = read(tmp_path / "a.sog", made.sog(meta | change, members))
+    meta, members, _ = splat_containers.sog_members()
+    got = read(tmp_path / "a.sog", splat_containers.sog(meta | change, members))
     assert got.is_antialiased is is_antialiased
     assert says in got.record.render_model_source
     assert bool(got.record.render_model_source) is is_antialiased
@@ -136,19 +136,22 @@ def test_the_writer_tells_how_it_was_trained(tmp_path, is_antialiased):
 
 
 def test_the_program_that_made_it_is_told(tmp_path):
-    meta, members, _ = made.sog_members()
-    got = read(tmp_path / "a.sog", made.sog({"asset": {"generator": "x 1.0\n"}} | meta, members))
+    meta, members, _ = splat_containers.sog_members()
+    got = read(
+        tmp_path / "a.sog",
+        splat_containers.sog({"asset": {"generator": "x 1.0\n"}} | meta, members),
+    )
     assert got.record.comments == ("generator: x 1.0",)
 
 
 def test_degree_4_is_left_out_and_told(tmp_path):
-    meta, members, pixels = made.sog_members()
+    meta, members, pixels = splat_containers.sog_members()
     centroids = np.zeros((1, 64 * 24, 3), np.uint8)
     centroids[0, 24:48] = np.arange(24)[:, None]  # of entry 1
-    members["centroids.webp"] = made.webp(centroids)
+    members["centroids.webp"] = splat_containers.webp(centroids)
     meta["shN"] |= {"bands": 4, "count": 64}
-    members["labels.webp"] = made.webp(np.full((2, 3, 3), [1, 0, 0]))
-    got = read(tmp_path / "a.sog", made.sog(meta, members))
+    members["labels.webp"] = splat_containers.webp(np.full((2, 3, 3), [1, 0, 0]))
+    got = read(tmp_path / "a.sog", splat_containers.sog(meta, members))
     assert got.sh.shape == (5, 16, 3) and got.record.omissions == (
         "colors of degree 4 are left out, the highest is 3",
     )
@@ -158,7 +161,7 @@ def test_degree_4_is_left_out_and_told(tmp_path):
 def test_invalid_rows_are_dropped(tmp_path):
     """A rotation without a leading component, and a color that is not in the palette."""
     n = 1000
-    meta, members, _ = made.sog_members(n=n)
+    meta, members, _ = splat_containers.sog_members(n=n)
     meta["means"]["files"] = ["a.webp", "a.webp"]
     for key in ("scales", "sh0"):
         meta[key]["files"] = ["a.webp"]
@@ -166,9 +169,12 @@ def test_invalid_rows_are_dropped(tmp_path):
     quats[..., 3], labels[..., 3] = 253, 255
     quats[0, 7, 3] = 251
     labels[1, 3, 0] = 70  # of 70 entries
-    members["q.webp"], members["labels.webp"] = made.webp(quats), made.webp(labels)
-    members["a.webp"] = made.webp(np.full((25, 40, 4), 77))
-    got = read(tmp_path / "a.sog", made.sog(meta, members))
+    members["q.webp"], members["labels.webp"] = (
+        splat_containers.webp(quats),
+        splat_containers.webp(labels),
+    )
+    members["a.webp"] = splat_containers.webp(np.full((25, 40, 4), 77))
+    got = read(tmp_path / "a.sog", splat_containers.sog(meta, members))
     assert len(got) == n - 2
     assert got.record.omissions[0].startswith("2 of 1,000 Gaussians are not finite")
 
@@ -176,12 +182,15 @@ def test_invalid_rows_are_dropped(tmp_path):
 def test_a_deflated_archive_and_png_pictures_are_read(tmp_path):
     from PIL import Image
 
-    meta, members, pixels = made.sog_members()
-    want = read(tmp_path / "a.sog", made.sog(meta, members))
+    meta, members, pixels = splat_containers.sog_members()
+    want = read(tmp_path / "a.sog", splat_containers.sog(meta, members))
     data = io.BytesIO()
     Image.fromarray(pixels["c.webp"].reshape(2, 3, 4).astype(np.uint8)).save(data, "png")
     members["c.webp"] = data.getvalue()
-    got = read(tmp_path / "b.sog", made.sog(meta, members, made.zipfile.ZIP_DEFLATED))
+    got = read(
+        tmp_path / "b.sog",
+        splat_containers.sog(meta, members, splat_containers.zipfile.ZIP_DEFLATED),
+    )
     np.testing.assert_array_equal(got.sh, want.sh)
     np.testing.assert_array_equal(got.opacity, want.opacity)
 
@@ -191,4 +200,4 @@ def test_a_deflated_archive_and_png_pictures_are_read(tmp_path):
 def test_the_size_of_a_picture_is_known_from_its_header(lossless, alpha):
     picture = np.full((37, 1211, alpha), 9)
     picture[..., -1] = 100
-    assert sog._webp_size(made.webp(picture, lossless)) == (1211, 37)
+    assert sog._webp_size(splat_containers.webp(picture, lossless)) == (1211, 37)

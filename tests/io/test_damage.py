@@ -66,10 +66,12 @@ def test_what_a_frame_says_of_itself_is_looked_at(out):
         ids = np.arange(damaged_files.TOTAL)
         with hdf5_writer.create(path, SerialCommunicator()) as f:
             f.attr("", "schema", file_layout.SCHEMA)
-            f.whole("VTKHDF/NumberOfPoints", np.array([other.get("count", damaged_files.TOTAL)]))
+            f.root_array(
+                "VTKHDF/NumberOfPoints", np.array([other.get("count", damaged_files.TOTAL)])
+            )
             f.rows("VTKHDF/PointData/id", other.get("id", ids))
             f.rows("VTKHDF/Points", columns(ids)["positions"].astype(other.get("type", "f4")))
-            f.whole("frame", np.array(other.get("frame", 1)))
+            f.root_array("frame", np.array(other.get("frame", 1)))
             f.seal()
 
     written()

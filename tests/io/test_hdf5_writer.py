@@ -16,7 +16,7 @@ def test_everything_that_can_be_written(tmp_path):
     with hdf5_writer.create(tmp_path / "new" / "a.h5", SerialCommunicator()) as f:
         f.rows("group/x", np.arange(6.0).reshape(3, 2))
         f.rows("group/none", np.zeros((0, 3), np.float32))
-        f.whole("numbers", np.arange(4))
+        f.root_array("numbers", np.arange(4))
         f.text("long", text)
         f.text("empty", "")
         f.attr("", "schema", 1)

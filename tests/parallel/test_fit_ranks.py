@@ -7,7 +7,7 @@ import signal
 import pytest
 
 from tests.support import launch
-from tests.support.fit_scenes import FIT, SHORT, bits, command, fitted_alone, go, made
+from tests.support.fit_scenes import FIT, SHORT, bits, command, fitted_alone, go, write_fit
 from vgmpi.tools.fit.run_pool import RECORD
 
 FEW = FIT.replace("max_runs = 40\nscan_points = 4", "max_runs = 10\nscan_points = 2")
@@ -39,7 +39,7 @@ def test_a_run_that_blows_up_is_told(alone, tmp_path):
     text = FEW.replace('["4 kPa", "400 kPa"]', '["5 Pa", "400 kPa"]')
     text = text.replace("reference/", f"{alone}/reference/")
     fast = SHORT.replace("velocity = [0, 0, -1.0]", "velocity = [0, 0, -8.0]")
-    scene, file = made(tmp_path, fast, text)
+    scene, file = write_fit(tmp_path, fast, text)
     found = []
     for ranks in ("1", "2"):
         done = go(scene, file, tmp_path / ranks, "--ranks", ranks)

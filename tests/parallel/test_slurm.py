@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from tests.support.file_digests import digests
-from tests.support.fit_scenes import BALL, FIT, bits, go, made, reference
+from tests.support.fit_scenes import BALL, FIT, bits, go, reference, write_fit
 from tests.support.launch import ROOT, run
 from tests.support.slurm_cluster import Cluster, Unable, missing
 from tests.support.small_scenes import MIXED, write
@@ -116,7 +116,7 @@ def test_an_array(cluster, submit, one, tmp_path):
 def test_a_fit_as_an_array(cluster, tmp_path):
     """Three jobs on two nodes share its runs, with the same bits as one process."""
     short = BALL.replace("end = 0.06", "end = 0.02").replace("frames = 7", "frames = 3")
-    scene, file = made(tmp_path, short, FIT.replace("runs = 40", "runs = 14"))
+    scene, file = write_fit(tmp_path, short, FIT.replace("runs = 40", "runs = 14"))
     reference(tmp_path, short)
     done = go(scene, file, tmp_path / "alone")
     assert done.returncode == 0, done.stderr

@@ -45,9 +45,9 @@ def test_a_camera_at_its_target_is_refused():
 
 
 def test_the_near_plane_shrinks_with_small_scenes_only():
-    assert look_at((0, -8, 0), (0, 0, 0), (0, 0, 1), 40, 10, 10).near == 0.2
-    assert look_at((0, -1, 0), (0, 0, 0), (0, 0, 1), 40, 10, 10).near == pytest.approx(0.05)
-    assert look_at((0, -1, 0), (0, 0, 0), (0, 0, 1), 40, 10, 10, near_plane=0.3).near == 0.3
+    assert look_at((0, -8, 0), (0, 0, 0), (0, 0, 1), 40, 10, 10).near_plane == 0.2
+    assert look_at((0, -1, 0), (0, 0, 0), (0, 0, 1), 40, 10, 10).near_plane == pytest.approx(0.05)
+    assert look_at((0, -1, 0), (0, 0, 0), (0, 0, 1), 40, 10, 10, near_plane=0.3).near_plane == 0.3
 
 
 @pytest.mark.parametrize("up", [(0, 0, 1), (0, -1, 0), (0, 1, 0), (1, 2, 3)])

@@ -99,5 +99,5 @@ def test_scenery_of_two_models_becomes_two_groups(runs):
     assert (first.name, second.name) == ("scenery", "scenery")
     assert (first.compensated_lowpass, second.compensated_lowpass) == (0.0, 0.1)
     assert first.count + second.count == len(scenery.x0)
-    assert (motion.rest.x[: first.count, 0] < 0.75).all()
-    assert (motion.rest.x[first.count :][: second.count, 0] >= 0.75).all()
+    assert (motion.rest_gaussians.x[: first.count, 0] < 0.75).all()
+    assert (motion.rest_gaussians.x[first.count :][: second.count, 0] >= 0.75).all()

@@ -37,7 +37,7 @@ def look_of(gaussians, objects, frames):
 def decoded(look, frames, cell):
     """Reader of the frames, and the Gaussians that the renderer draws in each."""
     motion = RunMotion(look, 0)
-    writer = MotionWriter(motion.groups, motion.rest, cell=cell, accuracy=ACCURACY)
+    writer = MotionWriter(motion.groups, motion.rest_gaussians, cell=cell, accuracy=ACCURACY)
     for number, frame in enumerate(frames):
         writer.add_frame(float(number), motion.states(frame), motion.poses(frame))
     return motion, MotionReader(writer.to_bytes())

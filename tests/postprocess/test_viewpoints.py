@@ -69,7 +69,7 @@ def test_the_cameras_of_a_file_span_the_video(tmp_path):
         camera = view.camera_at(k / 3, 0.0)
         np.testing.assert_allclose(camera.world_to_camera, known.world_to_camera, atol=1e-9)
         assert (camera.fx, camera.fy, camera.cx, camera.cy) == (45, 40, 30, 15)
-        assert camera.near <= 0.2
+        assert camera.near_plane <= 0.2
     a, b = (camera.eye for camera in cameras(4)[:2])
     between = view.camera_at(0.25 / 3, 0.0)
     np.testing.assert_allclose(between.eye, 0.75 * a + 0.25 * b, atol=1e-9)

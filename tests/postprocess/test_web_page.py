@@ -66,7 +66,7 @@ def expected(out, index):
 def picture_of_file(reader, index, camera):
     """Picture of decoded Gaussians by the renderer."""
     frame = reader.frame(index)
-    sh, opacity = reader.rest.sh.copy(), reader.rest.opacity * frame.present
+    sh, opacity = reader.rest_gaussians.sh.copy(), reader.rest_gaussians.opacity * frame.present
     sh[:, 0] = harmonics.dc_from_rgb(frame.rgb)
     directions = np.einsum("nij,ni->nj", frame.rotation, frame.x - camera.eye)
     color = np.maximum(harmonics.evaluate(sh, directions), 0)
@@ -234,7 +234,7 @@ def test_the_browser_decodes_what_python_decodes(tmp_path, monkeypatch):
                 name: np.array(page.evaluate(f"() => Array.from(vgmpi.motion.{name})"))
                 for name in ("centers", "shapes", "roots", "colors", "harmonics", "present")
             }
-            frame, n = reader.frame(index), len(reader.rest.x)
+            frame, n = reader.frame(index), len(reader.rest_gaussians.x)
             centers, shapes = arrays["centers"].reshape(n, 4), arrays["shapes"].reshape(n, 12)
             quat = shapes[:, :4] / np.linalg.norm(shapes[:, :4], axis=1, keepdims=True)
             rotation = rotation_matrices(quat)
@@ -248,9 +248,9 @@ def test_the_browser_decodes_what_python_decodes(tmp_path, monkeypatch):
             np.testing.assert_allclose(cov, frame.cov, atol=1e-6)
             colors = arrays["colors"].reshape(n, 4)
             np.testing.assert_allclose(colors[:, :3], frame.rgb, atol=1e-5)
-            np.testing.assert_allclose(colors[:, 3], reader.rest.opacity, atol=1e-6)
+            np.testing.assert_allclose(colors[:, 3], reader.rest_gaussians.opacity, atol=1e-6)
             higher = arrays["harmonics"].reshape(n, 15, 4)[..., :3]
-            np.testing.assert_allclose(higher, reader.rest.sh[:, 1:], atol=1e-6)
+            np.testing.assert_allclose(higher, reader.rest_gaussians.sh[:, 1:], atol=1e-6)
             for eye in (EYE, (1.5, -30.0, 12.0)):
                 entry = {"eye": eye, "target": TARGET, "up": (0, 0, 1), "fov": FOV}
                 page.evaluate("entry => vgmpi.look(entry)", entry)
@@ -317,7 +317,9 @@ def test_a_server_may_claim_another_encoding(html):
             browser, page = browser_page(play)
             page.goto(f"http://127.0.0.1:{server.server_port}/{html.name}")
             page.evaluate("() => vgmpi.ready")
-            assert page.evaluate("() => vgmpi.motion.count") == len(web_page.read_page(html).rest.x)
+            assert page.evaluate("() => vgmpi.motion.count") == len(
+                web_page.read_page(html).rest_gaussians.x
+            )
             browser.close()
     finally:
         server.shutdown()

@@ -5,7 +5,7 @@ import pytest
 
 from tests.gaussians.test_sog import cloud
 from tests.support import hostile_containers as bad
-from tests.support import splat_containers as made
+from tests.support import splat_containers
 from vgmpi.gaussians.formats import registry
 from vgmpi.preprocess import inspect_file
 
@@ -46,9 +46,9 @@ def test_axes_and_training_are_told_of_every_format(tmp_path, suffix):
 
 
 def test_doubts_are_told_apart_from_notes(tmp_path):
-    meta, members, _ = made.sog_members()
+    meta, members, _ = splat_containers.sog_members()
     path = tmp_path / "a.sog"
-    path.write_bytes(made.sog(meta | {"model": "2dgs"}, members))
+    path.write_bytes(splat_containers.sog(meta | {"model": "2dgs"}, members))
     text = inspect_file.describe_file(path)
     assert "\n  doubt    " in text and "\n  note     " not in text
 
@@ -91,9 +91,9 @@ def test_a_format_that_is_not_read_is_named(tmp_path, name):
 
 
 def test_a_glb_of_a_mesh_is_told_to_be_one(tmp_path):
-    header, binary = made.gltf_parts(made.gltf_columns())
+    header, binary = splat_containers.gltf_parts(splat_containers.gltf_columns())
     del header["meshes"][0]["primitives"][0]["extensions"]
     path = tmp_path / "a.glb"
-    path.write_bytes(made.glb(header, binary))
+    path.write_bytes(splat_containers.glb(header, binary))
     with pytest.raises(registry.GaussianFileError, match="a mesh. Convert it to .obj"):
         inspect_file.describe_file(path)

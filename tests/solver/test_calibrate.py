@@ -39,7 +39,7 @@ def asked(tmp_path, monkeypatch):
 
 def test_it_is_measured_once(asked):
     first = calibration.host_throughput("single")
-    assert first[:2] == (21.0, 32.0) and "measured on" in first.of
+    assert first[:2] == (21.0, 32.0) and "measured on" in first.origin
     assert asked == [("fluid", "single"), ("elastic", "single")]
     assert (
         calibration.host_throughput("single") == calibration.cached_throughput("single") == first
@@ -55,7 +55,7 @@ def test_another_processor_is_another(asked, monkeypatch):
     calibration.host_throughput("single")
     monkeypatch.setattr(calibration, "model", lambda: "another")
     assert calibration.cached_throughput("single") is None
-    assert calibration.host_throughput("single").of.startswith("measured on another, ")
+    assert calibration.host_throughput("single").origin.startswith("measured on another, ")
 
 
 def test_another_cube_is_measured_anew(asked, monkeypatch):

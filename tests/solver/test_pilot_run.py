@@ -243,7 +243,7 @@ def test_what_is_ahead_adds_up_to_all_of_it(monkeypatch):
     monkeypatch.setattr(pilot_result, "step_ns", lambda scene, plan, pace: 7.0)
     monkeypatch.setattr(pilot_result, "replace", lambda plan, **what: plan)
     found = PilotRun(0.1, 0.0, (at(0.1, 100.0), at(0.2, 200.0), at(0.3, 200.0)))
-    work, often = found.ahead(None, None, PACE)
+    work, often = found.remaining_cost(None, None, PACE)
     times = np.linspace(0.0, 0.3, 3001)
     assert np.mean([often(time) for time in times]) * 0.3 == pytest.approx(500.0, rel=0.03)
     assert work(0.1) == 7.0 + 1e5 and often(0.3) == often(9.0) == pytest.approx(2000.0)

@@ -31,7 +31,7 @@ class _Thread:
         self.blockIdx, self.threadIdx = kernel.Dim3(*grid_point), kernel.Dim3(*block_point)
         x, y, z = block_point
         self.thread_id = x + block_dim[0] * (y + block_dim[1] * z)
-        self.at: list[tuple[CodeType, int]] = []
+        self.stack: list[tuple[CodeType, int]] = []
         self.line = greenlet(work)
 
     def syncthreads(self):
@@ -39,13 +39,13 @@ class _Thread:
         while frame is not None and len(at) < DEPTH:
             at.append((frame.f_code, frame.f_lasti))
             frame = frame.f_back
-        self.at = at
+        self.stack = at
         self.line.parent.switch()
 
     def lines(self) -> str:
         """Functions and lines at which it waits, from the innermost; slow."""
         found = []
-        for code, last in self.at:
+        for code, last in self.stack:
             (line,) = (line for start, end, line in code.co_lines() if start <= last < end)
             found.append(f"{code.co_name}:{line}")
         return " < ".join(found)
@@ -77,7 +77,7 @@ def _to_the_next_barrier(team):
         one.line.switch()
     live = [one for one in team if not one.line.dead]
     ended = len(team) - len(live)
-    if live and (ended or any(one.at != live[0].at for one in live)):
+    if live and (ended or any(one.stack != live[0].stack for one in live)):
         places = sorted({one.lines() for one in live})
         raise Divergence(f"threads wait at {places}, {ended} have ended")
     return live

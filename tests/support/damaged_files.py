@@ -70,7 +70,7 @@ def _checkpoint(path: Path) -> list:
     checkpoint.verify(path)
     with checkpoint.open(path) as saved:
         names = saved.names("group_000")
-        return [saved.attrs, *(saved.whole(f"group_000/{name}").tobytes() for name in names)]
+        return [saved.attrs, *(saved.array(f"group_000/{name}").tobytes() for name in names)]
 
 
 # of each kind of file: which one, and what reading it gives

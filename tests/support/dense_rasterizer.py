@@ -100,7 +100,7 @@ def blended(x, cov, opacity, camera, lowpass, antialias, alpha_min):
     left = np.ones((height, width))
     stopped = np.zeros((height, width), dtype=bool)
     for i in np.argsort(depth, kind="stable"):
-        if depth[i] < camera.near:
+        if depth[i] < camera.near_plane:
             continue
         d = np.stack([px - mean[i, 0], py - mean[i, 1]], axis=-1)
         s = 0.5 * np.einsum("...i,ij,...j", d, np.linalg.inv(wide[i]), d)

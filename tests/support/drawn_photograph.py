@@ -50,7 +50,7 @@ def three():
     return drawing.draw(THINGS, VIEW, EYE)
 
 
-def around(mask, by=8):
+def bounding_box(mask, by=8):
     """A box as somebody draws it by hand: some pixels too large."""
     left, top, right, bottom = grabcut.box_of(mask)
     return [left - by, top - by, right + by, bottom + by]
@@ -60,7 +60,7 @@ def layout(heights=(None, "10 cm", None), more=("", "", ""), head=""):
     """The text of the three things' layout."""
     out = [head, f"[camera]\nfov = {VIEW.fov}\npitch = {VIEW.pitch}"]
     for name, mask, form, height, extra in zip(NAMES, three().masks, FORMS, heights, more):
-        out += ["[[object]]", f'name = "{name}"', f"box = {around(mask)}", form, extra]
+        out += ["[[object]]", f'name = "{name}"', f"box = {bounding_box(mask)}", form, extra]
         if height:
             out.append(f'height = "{height}"')
     return "\n".join(out) + "\n"

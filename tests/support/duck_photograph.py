@@ -31,7 +31,7 @@ def turn(yaw):
     return axis_rotation((0.0, 0.0, 1.0), np.radians(yaw))
 
 
-def standing(yaw):
+def placed_duck(yaw):
     """In its place, turned by `yaw` degrees."""
     turned = duck().transformed(turn(yaw))
     low, high = turned.x.min(axis=0), turned.x.max(axis=0)
@@ -46,14 +46,14 @@ def table():
 
 def photograph(yaw):
     """rgb (height, width, 3) uint8 and the true mask."""
-    cloud, camera = standing(yaw), VIEW.camera(np.array([0.0, 0.0, EYE]))
+    cloud, camera = placed_duck(yaw), VIEW.camera(np.array([0.0, 0.0, EYE]))
     color = harmonics.evaluate(cloud.sh, cloud.x - camera.eye)
     splats = rasterize.ProjectableGaussians(cloud.x, cloud.cov(), cloud.opacity, color)
     drawn, left = rasterize.render(splats, camera, table())
     return (255 * np.clip(drawn, 0, 1) + 0.5).astype(np.uint8), left < 0.5
 
 
-def given(path, up="-y", yaw=0.0):
+def write_duck(path, up="-y", yaw=0.0):
     """The duck as a file whose axis `up` points up, in [-.5, .5]^3, turned by `yaw` in it."""
     cloud = duck().transformed(np.asarray(UP[up], dtype=float).T @ turn(yaw))
     low, high = cloud.x.min(axis=0), cloud.x.max(axis=0)
@@ -66,6 +66,6 @@ def put(folder, yaw, head="", more=""):
     rgb, mask = photograph(yaw)
     Image.fromarray(rgb).save(folder / "photo.png")
     text = f"[camera]\nfov = {VIEW.fov}\npitch = {VIEW.pitch}\nheight = {EYE}\n{head}\n"
-    text += f'[[object]]\nname = "duck"\nbox = {drawn_photograph.around(mask)}\n{more}\n'
+    text += f'[[object]]\nname = "duck"\nbox = {drawn_photograph.bounding_box(mask)}\n{more}\n'
     (folder / "layout.toml").write_text(text)
     return folder / "photo.png", folder / "layout.toml"

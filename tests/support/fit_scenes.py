@@ -50,7 +50,7 @@ discretization_check = "none"
 """
 
 
-def made(folder: Path, text: str, fit_text: str) -> tuple[Path, Path]:
+def write_fit(folder: Path, text: str, fit_text: str) -> tuple[Path, Path]:
     """The files of a scene and a fit in a folder."""
     scene, file = folder / "scene.toml", folder / "fit.toml"
     scene.write_text(text)
@@ -70,7 +70,7 @@ SHORT = BALL.replace("end = 0.06", "end = 0.02").replace("frames = 7", "frames =
 
 def fitted_alone(folder: Path, fit_text: str) -> Path:
     """The folder with the short scene and a fit, and in alone/ what one process made of them."""
-    scene, file = made(folder, SHORT, fit_text)
+    scene, file = write_fit(folder, SHORT, fit_text)
     reference(folder, SHORT)
     done = go(scene, file, folder / "alone")
     assert done.returncode == 0, done.stderr
@@ -101,7 +101,7 @@ def bits(out: Path) -> list:
 
 def refused(capsys, folder: Path, text: str, out: str = "fit") -> tuple[Path, str]:
     """The file of a fit of the ball that is wrong, and the one line that the command says."""
-    scene, file = made(folder, BALL, text)
+    scene, file = write_fit(folder, BALL, text)
     capsys.readouterr()
     assert fit.main([str(scene), str(file), "-o", str(folder / out)]) == 2
     told = capsys.readouterr().err.strip().splitlines()

@@ -6,14 +6,14 @@ import zipfile
 
 import numpy as np
 
-from tests.support import splat_containers as made
+from tests.support import splat_containers
 from tests.support.hostile_gaussians import GOOD as PLY_GOOD
 from tests.support.hostile_gaussians import sparse
 
-META, MEMBERS, _ = made.sog_members()
-SOG_GOOD = made.sog(META, MEMBERS)
-HEADER, BINARY = made.gltf_parts(made.gltf_columns(degree=1))
-GLB_GOOD = made.glb(HEADER, BINARY)
+META, MEMBERS, _ = splat_containers.sog_members()
+SOG_GOOD = splat_containers.sog(META, MEMBERS)
+HEADER, BINARY = splat_containers.gltf_parts(splat_containers.gltf_columns(degree=1))
+GLB_GOOD = splat_containers.glb(HEADER, BINARY)
 GLTF_GOOD = json.dumps(HEADER).encode()
 QUAT = (0.5, -0.5, 0.5, 0.5)
 DEEP = b"[" * 100_000 + b"]" * 100_000
@@ -23,14 +23,19 @@ def ksplat_rows(count, level=1, degree=1):
     sh = [0.5] * 9 if level < 2 else [100] * 9
     x = [(k, 2 * k, 300) for k in range(count)]
     return b"".join(
-        made.ksplat_row(level, p, (0.5, 1, 2), QUAT, (9, 8, 7, 200), sh[: 9 * degree]) for p in x
+        splat_containers.ksplat_row(level, p, (0.5, 1, 2), QUAT, (9, 8, 7, 200), sh[: 9 * degree])
+        for p in x
     )
 
 
 def ksplat(count=5, claimed=None, section=None, level=1, lengths=(1, 2), center=0.0, **header):
     """A file of five rows at level 1, in a full bucket of two and others of one and two."""
-    section = section or made.ksplat_section(count, 1, buckets=(2, 1, 2), block=5.0, steps=32767)
-    head = made.ksplat_header(count if claimed is None else claimed, level=level, **header)
+    section = section or splat_containers.ksplat_section(
+        count, 1, buckets=(2, 1, 2), block=5.0, steps=32767
+    )
+    head = splat_containers.ksplat_header(
+        count if claimed is None else claimed, level=level, **header
+    )
     start = struct.pack("<2I9f", *lengths, center, *range(8))
     return head + section + start + ksplat_rows(5, level)
 
@@ -39,7 +44,7 @@ KSPLAT_GOOD = ksplat()
 
 
 def sog(meta=None, members=None, **more):
-    return made.sog(META | (meta or {}), MEMBERS | (members or {}), **more)
+    return splat_containers.sog(META | (meta or {}), MEMBERS | (members or {}), **more)
 
 
 def table(key, **change):
@@ -48,7 +53,7 @@ def table(key, **change):
 
 def solid(width, height):
     """A picture of one color: small as a file."""
-    return made.webp(np.full((height, width, 4), 253, np.uint8))
+    return splat_containers.webp(np.full((height, width, 4), 253, np.uint8))
 
 
 def sog_bomb(path):
@@ -81,11 +86,13 @@ SOG = {
     "a .ply": (PLY_GOOD, "no ZIP"),
     "cut": (SOG_GOOD[:-30], "no readable ZIP"),
     "half of it": (SOG_GOOD[: len(SOG_GOOD) // 2], "no readable ZIP"),
-    "an archive of something else": (made.archive({"a.txt": b"hello"}), "no 'meta.json'"),
+    "an archive of something else": (
+        splat_containers.archive({"a.txt": b"hello"}), "no 'meta.json'",
+    ),
     "many members": (many_members, "list of members"),
     "a bomb": (sog_bomb, "made to fill the memory"),
     "a header that is a bomb": (
-        made.archive({"meta.json": b" " * (50 << 20)}, zipfile.ZIP_DEFLATED),
+        splat_containers.archive({"meta.json": b" " * (50 << 20)}, zipfile.ZIP_DEFLATED),
         "fill the memory",
     ),
     "pictures of one color": (sog_of_zeros, "fill the memory"),
@@ -106,13 +113,17 @@ SOG = {
     "no name": (sog(table("quats", files=[])), "no picture 0"),
     "no text as name": (sog(table("quats", files=[7])), "no picture 0"),
     "another method": (sog(method=zipfile.ZIP_LZMA), "than deflate"),
-    "no JSON": (made.sog(b"{nothing", MEMBERS), "cannot be read"),
-    "a list": (made.sog(b"[]", MEMBERS), "no object"),
-    "deep": (made.sog(DEEP, MEMBERS), "nested 100,000 deep"),
-    "deep behind a text": (made.sog(b'{"a": "\\"[", "b": ' + DEEP, MEMBERS), "nested 100,001"),
-    "quotes": (made.sog(b'"\\' * (1 << 21), MEMBERS), "cannot be read"),
-    "a long number": (made.sog(b'{"version": ' + b"9" * 100_000 + b"}", MEMBERS), "JSON"),
-    "no UTF-8": (made.sog(b'{"version": "\xff"}', MEMBERS), "cannot be read"),
+    "no JSON": (splat_containers.sog(b"{nothing", MEMBERS), "cannot be read"),
+    "a list": (splat_containers.sog(b"[]", MEMBERS), "no object"),
+    "deep": (splat_containers.sog(DEEP, MEMBERS), "nested 100,000 deep"),
+    "deep behind a text": (
+        splat_containers.sog(b'{"a": "\\"[", "b": ' + DEEP, MEMBERS), "nested 100,001",
+    ),
+    "quotes": (splat_containers.sog(b'"\\' * (1 << 21), MEMBERS), "cannot be read"),
+    "a long number": (
+        splat_containers.sog(b'{"version": ' + b"9" * 100_000 + b"}", MEMBERS), "JSON",
+    ),
+    "no UTF-8": (splat_containers.sog(b'{"version": "\xff"}', MEMBERS), "cannot be read"),
     "version 3": (sog({"version": 3}), "version 3"),
     "version text": (sog({"version": "2"}), "a whole number"),
     "no Gaussians": (sog({"count": 0}), "no Gaussians"),
@@ -120,11 +131,15 @@ SOG = {
     "a count of 10^12": (sog({"count": 10**12}), "allowed are at most"),
     "a count of 10^8": (sog({"count": 10**8}), "fill the memory"),
     "a broken count": (sog({"count": 1.5}), "whole number"),
-    "no means": (made.sog({"version": 2, "count": 5}, MEMBERS), "no 'means'"),
-    "nothing": (made.sog({}, MEMBERS), "no 'means'"),
+    "no means": (splat_containers.sog({"version": 2, "count": 5}, MEMBERS), "no 'means'"),
+    "nothing": (splat_containers.sog({}, MEMBERS), "no 'means'"),
     "bounds that are no numbers": (sog(table("means", mins=[0, 0, "a"])), "3 numbers"),
-    "NaN": (made.sog(json.dumps(META | table("means", mins=[float("nan")] * 3)).encode(), MEMBERS),
-            "3 numbers"),
+    "NaN": (
+        splat_containers.sog(
+            json.dumps(META | table("means", mins=[float("nan")] * 3)).encode(), MEMBERS
+        ),
+        "3 numbers",
+    ),
     "bounds beyond meters": (sog(table("means", maxs=[1, 1e4, 1])), "above 1e18"),
     "a short codebook": (sog(table("scales", codebook=[0.0])), "not finite"),
     "no codebook": (sog(table("sh0", codebook=[])), "1 to 256 numbers"),
@@ -133,7 +148,7 @@ SOG = {
     "a palette too long": (sog(table("shN", count=129)), "128 of 129"),
     "a palette too short": (sog(table("shN", count=2)), "not finite"),
     "no rotations": (sog(members={}
-        | {"q.webp": made.webp(np.zeros((2, 3, 4)))}), "no rotation"),
+        | {"q.webp": splat_containers.webp(np.zeros((2, 3, 4)))}), "no rotation"),
     "a wrong sum": (SOG_GOOD.replace(META["means"]["files"][0].encode(), b"L.webp", 1),
                     "ZIP|no 'l.webp'|damaged"),
 }  # fmt: skip
@@ -144,7 +159,7 @@ def gltf(change=None, binary=BINARY, **more):
     header = json.loads(json.dumps(HEADER))
     if change:
         change(header)
-    return made.glb(header | more, binary)
+    return splat_containers.glb(header | more, binary)
 
 
 def accessor(index, **change):
@@ -176,7 +191,7 @@ def without(name):
     return gltf(change)
 
 
-KHR = made.KHR
+KHR = splat_containers.KHR
 GLTF_CASES = {
     "no scene": ({"scene": 5}, "scenes\\['5'\\] of 1"),
     "a scene of text": ({"scene": "0"}, "scenes"),
@@ -197,11 +212,11 @@ GLB = {
     "text": (GLTF_GOOD, "not a glTF"),
     "half a header": (GLB_GOOD[:9], "truncated"),
     "the header only": (GLB_GOOD[:12], "truncated"),
-    "version 1": (made.glb(HEADER, BINARY, version=1), "version 1"),
+    "version 1": (splat_containers.glb(HEADER, BINARY, version=1), "version 1"),
     "cut": (GLB_GOOD[:-4], "truncated"),
-    "no JSON": (made.glb(b"{nothing", BINARY), "cannot be read"),
-    "deep": (made.glb(DEEP, BINARY), "nested 100,000 deep"),
-    "10 MB of JSON": (made.glb(b" " * 10_000_000), "the most is"),
+    "no JSON": (splat_containers.glb(b"{nothing", BINARY), "cannot be read"),
+    "deep": (splat_containers.glb(DEEP, BINARY), "nested 100,000 deep"),
+    "10 MB of JSON": (splat_containers.glb(b" " * 10_000_000), "the most is"),
     "a chunk too long": (GLB_GOOD[:12] + b"\xff" * 4 + GLB_GOOD[16:], "ends behind"),
     "another chunk": (GLB_GOOD[:16] + b"BIN\0" + GLB_GOOD[20:], "begin with its JSON"),
     "no binary": (gltf(binary=b""), "no bytes for buffers"),
@@ -281,14 +296,16 @@ def gltf_of_zeros(count):
     size = 16 * count
     header["bufferViews"] = [{"buffer": 0, "byteLength": size}]
     header["buffers"] = [{"byteLength": size}]
-    start = made.glb(header, bytes(4))[:-12]
+    start = splat_containers.glb(header, bytes(4))[:-12]
     total = len(start) + 8 + size
     return start[:8] + struct.pack("<I", total) + start[12:] + struct.pack("<I4s", size, b"BIN\0")
 
 
 def section(count=5, degree=1, buckets=(2, 1, 2), block=5.0, **more):
     """The good file with another header of its section."""
-    head = made.ksplat_section(count, degree, buckets=buckets, block=block, steps=32767, **more)
+    head = splat_containers.ksplat_section(
+        count, degree, buckets=buckets, block=block, steps=32767, **more
+    )
     return ksplat(section=head)
 
 
@@ -300,7 +317,7 @@ KSPLAT = {
     "the header only": (KSPLAT_GOOD[:4096], "sections"),
     "cut": (KSPLAT_GOOD[:-1], "truncated"),
     "version 1.0": (ksplat(version=(1, 0)), "version 1.0"),
-    "level 3": (made.ksplat_header(5, level=3) + KSPLAT_GOOD[4096:], "level 3"),
+    "level 3": (splat_containers.ksplat_header(5, level=3) + KSPLAT_GOOD[4096:], "level 3"),
     "none": (ksplat(claimed=0), "no Gaussians"),
     "another count": (ksplat(claimed=6), "5 Gaussians in its sections"),
     "a negative count": (ksplat(claimed=2**32 - 1), "4,294,967,295"),
@@ -323,15 +340,20 @@ KSPLAT = {
     "a sparse file of 8 GB": (
         lambda path: sparse(
             path,
-            made.ksplat_header(90_000_000, level=1)
-            + made.ksplat_section(90_000_000, 2, buckets=(256, 0, 89_000_000), block=1.0),
+            splat_containers.ksplat_header(90_000_000, level=1)
+            + splat_containers.ksplat_section(
+                90_000_000, 2, buckets=(256, 0, 89_000_000), block=1.0
+            ),
             8_000_000_000,
         ),
         "do not hold",
     ),
     "a sparse file of 4 GB at level 0": (
         lambda path: sparse(
-            path, made.ksplat_header(90_000_000) + made.ksplat_section(90_000_000), 4 * 10**9
+            path,
+            splat_containers.ksplat_header(90_000_000)
+            + splat_containers.ksplat_section(90_000_000),
+            4 * 10**9,
         ),
         "no size or no rotation",
     ),

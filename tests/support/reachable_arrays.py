@@ -47,8 +47,8 @@ class Calls:
     their arguments, of each specialisation."""
 
     def __enter__(self) -> "Calls":
-        self.made: dict[tuple, object] = {}
-        self.patch = mock.patch.object(compiled_kernels, "_entries", self.made)
+        self.entries: dict[tuple, object] = {}
+        self.patch = mock.patch.object(compiled_kernels, "_entries", self.entries)
         self.patch.start()
         return self
 
@@ -58,7 +58,7 @@ class Calls:
     @property
     def told(self) -> set[str]:
         """The specialisations: what tells a kernel's types apart besides its arrays and numbers."""
-        return {f"{kernel.__name__}({_inside(kinds)})" for kernel, kinds in self.made}
+        return {f"{kernel.__name__}({_inside(kinds)})" for kernel, kinds in self.entries}
 
 
 def _inside(kinds: tuple) -> str:

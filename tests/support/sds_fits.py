@@ -50,12 +50,12 @@ class Formula:
     """In place of runs: each is a folder, and its picture is worked out from its parameters."""
 
     def __init__(self, folder: Path):
-        self.folder, self.jobs, self.asked = folder, 1, []
+        self.folder, self.jobs, self.calls = folder, 1, []
 
     def all(self, settings):
         found = []
         for one in settings:
-            self.asked.append(one)
+            self.calls.append(one)
             folder = self.folder / "_".join(v for _, v in one.knobs)
             folder.mkdir(parents=True, exist_ok=True)
             (folder / "values.txt").write_text(" ".join(v for _, v in one.knobs))
@@ -102,7 +102,7 @@ class Knows(VideoModel):
     """
 
     def __init__(self, sets):
-        self.conditions, self.device, self.asked = sets, "cpu", 0
+        self.conditions, self.device, self.calls = sets, "cpu", 0
 
     def level(self, share: float) -> Level:
         return Level(1 - share, share, share)
@@ -115,7 +115,7 @@ class Knows(VideoModel):
     def predict(self, z_t, level: Level, condition):
         import torch
 
-        self.asked += 1
+        self.calls += 1
         flat = z_t.reshape(1, -1).double()
         far = ((flat - level.signal * condition) ** 2).sum(1)
         shares = torch.softmax(-far / (2 * level.noise**2), 0)

@@ -106,7 +106,7 @@ def view_of(camera):
     shape = (camera.height, camera.width)
     light, behind = np.zeros((*shape, 3), np.float32), np.zeros((*shape, 3), np.float32)
     depth = np.full(shape, np.inf, np.float32)
-    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.near])
+    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.near_plane])
     pose = np.ascontiguousarray(camera.world_to_camera, dtype=np.float64)
     eye = np.ascontiguousarray(camera.eye, dtype=np.float64)
     return View(light, depth, behind, pose, lens, eye, False)

@@ -13,7 +13,7 @@ import pytest
 import pyvista
 
 from tests.support import launch
-from tests.support.fit_scenes import BALL, FIT, bits, command, go, made, reference, rows
+from tests.support.fit_scenes import BALL, FIT, bits, command, go, reference, rows, write_fit
 from vgmpi.scene.loader import load
 from vgmpi.tools.fit import __main__ as fit
 from vgmpi.tools.fit import optimizers, parameter_space, uncertainty
@@ -40,7 +40,7 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def whole(folder):
     """The folder of a fit that nobody stopped."""
-    scene, file = made(folder, BALL, FIT)
+    scene, file = write_fit(folder, BALL, FIT)
     assert fit.main([str(scene), str(file), "-o", str(folder / "whole")]) == 0
     return folder / "whole"
 
@@ -118,7 +118,7 @@ def test_a_file_that_was_changed_is_run_anew(tmp_path):
     shape = "shape = { sphere = { center = [0.12, 0.12, 0.06], radius = 0.05 } }"
     text = BALL.replace(shape, 'mesh = "body.stl"\nposition = [0.12, 0.12, 0.04]')
     assert text != BALL
-    scene, _ = made(tmp_path, text, FIT)
+    scene, _ = write_fit(tmp_path, text, FIT)
     setting = parameter_space.setting(
         [parameter_space.ParameterAxis(KEY, 4e3, 4e5, 2e5, "log")], [0.5]
     )
@@ -140,7 +140,7 @@ def test_frames_are_fitted_and_a_runs_mass_tells_nothing(folder, capsys):
     text = FIT[: FIT.index("[target]")] + (
         '[target]\nrun = "heavy"\n[method]\ndiscretization_check = "none"\n'
     )
-    scene, file = made(folder, BALL, text)
+    scene, file = write_fit(folder, BALL, text)
     out = folder / "frames"
     assert fit.main([str(scene), str(file), "-o", str(out)]) == 0
     assert load(out / "fitted.toml").material["rubber"].youngs_modulus == pytest.approx(2e4, 5e-3)
@@ -149,7 +149,7 @@ def test_frames_are_fitted_and_a_runs_mass_tells_nothing(folder, capsys):
 def test_two_that_cannot_be_told_apart_are_refused(folder, capsys):
     """A free body shows its stiffness over its density, neither alone."""
     text = FIT[: FIT.index("[target]")] + DENSITY + FIT[FIT.index("[target]") :]
-    scene, file = made(folder, BALL, text)
+    scene, file = write_fit(folder, BALL, text)
     out = folder / "pair"
     assert fit.main([str(scene), str(file), "-o", str(out)]) == 2
     told = capsys.readouterr().err.strip()
@@ -162,7 +162,7 @@ def test_two_that_can_be_told_apart_are_found(folder):
     """The same two, where a force is measured: the stiffness and the density both show."""
     text = FIT[: FIT.index("[target]")] + DENSITY + FIT[FIT.index("[target]") :]
     text = text.replace('"center_z", "velocity_z"', '"center_z", "momentum_z"')
-    scene, file = made(folder, BALL, text)
+    scene, file = write_fit(folder, BALL, text)
     out = folder / "both"
     assert fit.main([str(scene), str(file), "-o", str(out)]) == 0
     found = load(out / "fitted.toml").material["rubber"]
@@ -174,7 +174,7 @@ def test_what_changes_nothing_is_refused(folder, capsys):
     text = FIT.replace(f'"{KEY}"', '"domain.boundary.top.friction"')
     text = text.replace('["4 kPa", "400 kPa"]\ninitial = "200 kPa"', "[0.01, 1]\ninitial = 0.1")
     walls = 'boundary = { default = "slip", top = { kind = "separate", friction = 0.1 } }'
-    scene, file = made(folder, BALL.replace('boundary = "slip"', walls), text)
+    scene, file = write_fit(folder, BALL.replace('boundary = "slip"', walls), text)
     assert fit.main([str(scene), str(file), "-o", str(folder / "blind")]) == 2
     told = capsys.readouterr().err
     assert told.startswith(f"{file}:2: parameter.0.key: ") and "nothing that the target" in told
@@ -185,11 +185,11 @@ class InCells:
 
     def __init__(self, scene, slope):
         self.runs, self.target = SimpleNamespace(scene=scene), SimpleNamespace(stages=1)
-        self.purpose, self.slope, self.asked = "", slope, []
+        self.purpose, self.slope, self.calls = "", slope, []
 
     def evaluate(self, points, extra_setting):
-        self.asked.append(dict(extra_setting.knobs)["cells"])
-        return [SimpleNamespace(done=SimpleNamespace(completed=True), cells=int(self.asked[-1]))]
+        self.calls.append(dict(extra_setting.knobs)["cells"])
+        return [SimpleNamespace(done=SimpleNamespace(completed=True), cells=int(self.calls[-1]))]
 
     def residual(self, trial, stage):
         return self.slope * 0.01 * 12 / trial.cells
@@ -200,21 +200,23 @@ def test_cells_have_part_in_the_interval(folder, grid, count):
     """Thrice what the cells of the scene are off by, told by larger ones or by smaller ones, of an
     error that falls with their size (Roache 1994)."""
     slope = np.array([[1.0], [-2.0], [0.5]])
-    trials = InCells(load(made(folder, BALL, FIT)[0]), slope[:, 0])
+    trials = InCells(load(write_fit(folder, BALL, FIT)[0]), slope[:, 0])
     best = SimpleNamespace(u=(0.5,), cells=12)
     shift, beside = uncertainty.discretization_shift(trials, best, slope, grid)
-    assert beside == count and trials.asked == [str(count)]
+    assert beside == count and trials.calls == [str(count)]
     assert shift == pytest.approx([3 * 0.01])
     assert (
         uncertainty.discretization_shift(trials, best, slope, "none")[1] is None
-        and len(trials.asked) == 1
+        and len(trials.calls) == 1
     )
 
 
 def test_numbers_that_err_together_count_less(folder):
     """An interval from n numbers, of which so many beside each other err together, is wider by
     their root; by it least squares of smooth noise cover as they should."""
-    trials = InCells(load(made(folder, BALL, FIT)[0]), np.random.default_rng(0).normal(size=400))
+    trials = InCells(
+        load(write_fit(folder, BALL, FIT)[0]), np.random.default_rng(0).normal(size=400)
+    )
     best = SimpleNamespace(u=(0.5,), cells=12)
     noise = []
     for together in (1.0, 4.0):
@@ -230,7 +232,7 @@ def test_numbers_that_err_together_count_less(folder):
 @pytest.mark.parametrize("grid, count", [("coarser", 6), ("finer", 24)])
 def test_a_run_in_other_cells_is_told(folder, grid, count):
     text = FIT.replace('check = "none"', f'check = "{grid}"')
-    scene, file = made(folder, BALL, text)
+    scene, file = write_fit(folder, BALL, text)
     assert fit.main([str(scene), str(file), "-o", str(folder / grid)]) == 0
     last = rows(folder / grid)[-1]
     assert last["cells"] == str(count) and last["purpose"] == f"{grid} cells"
@@ -246,16 +248,16 @@ def test_one_run_that_is_left_tells_nothing_of_a_parameter():
     class Left:
         axes, target = [None], SimpleNamespace(stages=1)
         all = {
-            k: SimpleNamespace(u=(u,), done=SimpleNamespace(completed=whole), off=residual)
+            k: SimpleNamespace(u=(u,), done=SimpleNamespace(completed=whole), misfit=residual)
             for k, (u, whole, residual) in enumerate([(0.1, False, 9.0), (0.5, True, 1.0)])
         }
 
         def residual(self, trial, stage):
-            return np.array([trial.off])
+            return np.array([trial.misfit])
 
     left = Left()
     assert optimizers.insensitive_parameters(left) == []
-    left.all = {**left.all, 2: SimpleNamespace(u=(0.9,), done=left.all[1].done, off=1.0)}
+    left.all = {**left.all, 2: SimpleNamespace(u=(0.9,), done=left.all[1].done, misfit=1.0)}
     assert optimizers.insensitive_parameters(left) == [0]
 
 

@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 
-from tests.support.fit_scenes import BALL, FIT, bits, made, reference, rows
+from tests.support.fit_scenes import BALL, FIT, bits, reference, rows, write_fit
 from tests.tools.test_fit import DENSITY
 from vgmpi.scene.loader import load
 from vgmpi.tools.fit import __main__ as fit
@@ -26,7 +26,7 @@ def folder(tmp_path_factory):
 
 def test_two_are_found(folder, capsys):
     pytest.importorskip("cmaes")
-    scene, file = made(folder, SHORT, TEXT)
+    scene, file = write_fit(folder, SHORT, TEXT)
     assert fit.main([str(scene), str(file), "-o", str(folder / "out")]) == 0
     found = load(folder / "out" / "fitted.toml").material["rubber"]
     assert found.youngs_modulus == pytest.approx(2e4, rel=0.02)
@@ -87,7 +87,7 @@ def test_seeds_are_kept():
 
 def test_without_the_package_a_line_says_so(folder, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "cmaes", None)
-    scene, file = made(folder, SHORT, TEXT)
+    scene, file = write_fit(folder, SHORT, TEXT)
     assert fit.main([str(scene), str(file), "-o", str(folder / "none")]) == 1
     assert capsys.readouterr().err.splitlines()[-1] == (
         "vgmpi: method.algorithm = 'cma' needs: pip install 'vgmpi[fit]'"

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.support.fit_scenes import BALL, FIT, made, reference, refused
+from tests.support.fit_scenes import BALL, FIT, reference, refused, write_fit
 from vgmpi.tools.fit import __main__ as fit
 
 KEY = "material.rubber.youngs_modulus"
@@ -126,7 +126,7 @@ def test_a_wrong_table_is_told_by_its_line(beside, capsys, table, line, said):
     (beside / "a.csv").write_text(table)
     text = FIT.replace("reference/probe_ball.csv", "a.csv")
     text = text.replace('["center_z", "velocity_z"]', '{ center_z = "z" }')
-    scene, file = made(beside, BALL, text)
+    scene, file = write_fit(beside, BALL, text)
     assert fit.main([str(scene), str(file), "-o", str(beside / "fit")]) == 2
     assert capsys.readouterr().err.startswith(f"{beside / 'a.csv'}:{line}: {said}")
 
@@ -135,7 +135,7 @@ def test_a_damaged_table_of_a_run_is_told(beside, capsys):
     rows = (beside / "reference" / "probe_ball.csv").read_text().splitlines()
     rows[4] = rows[4].replace("0", "1", 1)
     (beside / "b.csv").write_text("\n".join(rows) + "\n")
-    scene, file = made(beside, BALL, FIT.replace("reference/probe_ball.csv", "b.csv"))
+    scene, file = write_fit(beside, BALL, FIT.replace("reference/probe_ball.csv", "b.csv"))
     assert fit.main([str(scene), str(file), "-o", str(beside / "fit")]) == 2
     assert "b.csv:5: damaged" in capsys.readouterr().err
 
@@ -146,7 +146,7 @@ def test_frames_of_other_times_or_another_domain_are_refused(beside, capsys):
         ("frames = 7", "frames = 6", "has a frame at 0.01 s, of which the scene has none"),
         ("size = [0.24, 0.24, 0.24]", "size = [0.24, 0.24, 0.28]", "another domain, 0.24 x 0.24"),
     ):
-        scene, file = made(beside, BALL.replace(old, new), text)
+        scene, file = write_fit(beside, BALL.replace(old, new), text)
         assert fit.main([str(scene), str(file), "-o", str(beside / "fit")]) == 2
         told = capsys.readouterr().err
         assert told.startswith(f"{file}:6: target.run: ") and said in told

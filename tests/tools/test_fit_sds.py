@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.support import launch, sds_fits, tiny_video_models
-from tests.support.fit_scenes import BALL, bits, command, go, made
+from tests.support.fit_scenes import BALL, bits, command, go, write_fit
 from vgmpi.scene.loader import load
 from vgmpi.tools.fit import __main__ as fit
 from vgmpi.tools.fit import sds_descent
@@ -66,7 +66,7 @@ def taste(
 ):
     """A model's taste of runs that are pictures of a formula, and these runs."""
     text = sds_fits.sds(name, wish(name), f"frames = {FRAMES}\n{more}", method, parameters)
-    scene, path = made(models, BALL, text)
+    scene, path = write_fit(models, BALL, text)
     file = FitFile(path, load(scene))
     target = DenoisingTarget(file)
     target.renderer = sds_fits.Shown(FRAMES, SIZE)
@@ -100,7 +100,7 @@ def test_the_gradient_is_autograds(models, name):
     )
     z = target.kind.encode(film)
     pulled = []
-    for k, share in enumerate(score_distillation.shares((0.2, 0.8), 3)):
+    for k, share in enumerate(score_distillation.stratified_levels((0.2, 0.8), 3)):
         one = score_distillation.draw(target.kind.level(share), tuple(z.shape), 1, k)
         with torch.no_grad():
             pulled.append(
@@ -265,7 +265,7 @@ def test_what_was_said_of_a_run_is_not_asked_again(models):
     one, other = (min(t.number for t in of.all.values()) for of in (trials, again))
     assert one == other and not fresh.loaded
     assert [t.loss for t in again.all.values()][0] == [t.loss for t in trials.all.values()][0]
-    made(
+    write_fit(
         models,
         BALL,
         target.file.source.text.replace("noise_samples = 3", "noise_samples = 3\nseed = 9"),
@@ -316,7 +316,7 @@ def test_weights_that_do_not_fit_are_told(models):
     )
     config.write_text(config.read_text().replace('"ffn_dim": 16', '"eps": 1e-6'))
     target, trials = taste(models, "flow")
-    made(models, BALL, target.file.source.text.replace('"flow"', '"broken"'))
+    write_fit(models, BALL, target.file.source.text.replace('"flow"', '"broken"'))
     other = DenoisingTarget(FitFile(models / "fit.toml", target.file.scene))
     other.renderer = target.renderer
     with pytest.raises(FitFileError) as told:
@@ -352,7 +352,7 @@ def command_files(models):
     folder = models / "command"
     folder.mkdir(exist_ok=True)
     sds_fits.rendered(folder, SIZE)
-    return made(
+    return write_fit(
         folder, BALL, sds_fits.sds("../flow", more="frames = 5\nnoise_samples = 2", method=SHORT)
     )
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.support import sds_fits
-from tests.support.fit_scenes import BALL, made, refused
+from tests.support.fit_scenes import BALL, refused, write_fit
 from vgmpi.postprocess.frames.image_io import write_png
 from vgmpi.tools.fit import __main__ as fit
 from vgmpi.tools.fit.video_prior import denoising_target
@@ -257,7 +257,7 @@ def test_a_wrong_render_toml_is_told_by_its_own_line(beside, capsys):
 def test_missing_packages_are_named(beside, capsys, monkeypatch):
     """With what installs them."""
     monkeypatch.setattr(denoising_target, "PACKAGES", ("numpy", "diffuserz"))
-    scene, file = made(beside, BALL, TEXT)
+    scene, file = write_fit(beside, BALL, TEXT)
     assert fit.main([str(scene), str(file), "-o", str(beside / "fit")]) == 1
     told = capsys.readouterr().err.strip()
     assert told == "vgmpi: [sds] needs diffuserz: pip install 'vgmpi[sds]'"

@@ -10,7 +10,7 @@ import pytest
 from scipy import ndimage
 
 from tests.benchmarks.recovery import aside, view
-from tests.support.fit_scenes import BALL, FIT, made, reference, refused
+from tests.support.fit_scenes import BALL, FIT, reference, refused, write_fit
 from vgmpi.io.run_reader import RunReader
 from vgmpi.postprocess.commands import render
 from vgmpi.postprocess.frames.image_io import to_bytes, write_png
@@ -48,7 +48,7 @@ def folder(tmp_path_factory):
 
 
 def found_in(folder, keys, name, capsys=None):
-    scene, file = made(folder, BALL, text(keys))
+    scene, file = write_fit(folder, BALL, text(keys))
     assert fit.main([str(scene), str(file), "-o", str(folder / name)]) == 0
     return load(folder / name / "fitted.toml").material["rubber"].youngs_modulus
 
@@ -97,7 +97,7 @@ def test_the_target_is_to_the_left(folder):
 
 
 def test_frames_of_another_run_are_shown_too_where_render_is_given(folder, capsys):
-    scene, file = made(
+    scene, file = write_fit(
         folder, BALL, text('run = "reference"\n[method]\nmax_runs = 12\nscan_points = 4')
     )
     file.write_text(file.read_text().partition("[method]\nmax_runs = 40")[0])
@@ -127,7 +127,7 @@ def test_a_camera_is_off_by_no_more_than_it_may(folder, capsys):
 
 
 def made_target(folder, keys, scene=BALL):
-    made(folder, scene, text(keys))
+    write_fit(folder, scene, text(keys))
     return target_of(FitFile(folder / "fit.toml", load(folder / "scene.toml")))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.support import sds_fits
-from tests.support.fit_scenes import made, reference
+from tests.support.fit_scenes import reference, write_fit
 from vgmpi.scene.loader import load
 from vgmpi.tools.fit import fit_report
 from vgmpi.tools.fit.evaluations import Evaluations
@@ -76,7 +76,7 @@ def fitted(known, more="", method=""):
     folder, sets = known
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
-    scene, path = made(folder, COLUMN, sds_fits.sds(more=more, method=method))
+    scene, path = write_fit(folder, COLUMN, sds_fits.sds(more=more, method=method))
     file = FitFile(path, load(scene))
     target = DenoisingTarget(file, sds_fits.Knows(sets))
     runs = RunPool(file.scene, folder / "runs")
@@ -111,7 +111,7 @@ def test_descent_finds_it(known, more, near):
     assert len(trials.all) <= 30 and not found.budget_exhausted
     asked = {t.number for t in trials.all.values() if not np.isnan(t.loss)}
     each = 2 * file.settings.sds.noise_samples  # both halves, of each run but those beside another
-    assert trials.target.kind.asked == each * len(asked) < each * len(trials.all)
+    assert trials.target.kind.calls == each * len(asked) < each * len(trials.all)
     report = fit_report.format_report(file, found, trials)
     assert f"| {KEY} | {found.best.values[0]:.6g} | not known |" in report
     assert "How sure this is, is not known" in report and "## The model's gradient" in report
@@ -122,7 +122,7 @@ def test_the_loss_finds_it(known):
     file, found, trials = fitted(known, method='algorithm = "cma"')
     assert found.best.values[0] == pytest.approx(TRUE, rel=0.05)
     assert len(trials.all) <= 20
-    assert trials.target.kind.asked == file.settings.sds.noise_samples * len(trials.all)
+    assert trials.target.kind.calls == file.settings.sds.noise_samples * len(trials.all)
 
 
 def test_runs_that_are_spent_are_told(known):
@@ -136,7 +136,7 @@ def test_what_the_model_does_not_see_is_refused(known):
     text = sds_fits.sds().replace(KEY, "domain.boundary.west.friction")
     text = text.replace('["4 kPa", "400 kPa"]\ninitial = "200 kPa"', "[0.01, 1]\ninitial = 0.1")
     walls = 'west = { kind = "separate", friction = 0.1 }, bottom'
-    scene, path = made(folder, COLUMN.replace("bottom", walls), text)
+    scene, path = write_fit(folder, COLUMN.replace("bottom", walls), text)
     file = FitFile(path, load(scene))
     trials = Evaluations(
         RunPool(file.scene, folder / "runs"),

@@ -78,7 +78,9 @@ def test_the_command_writes_it_as_a_guess(tmp_path, monkeypatch):
     drawn_photograph.Image.fromarray(drawn.rgb).save(tmp_path / "photo.png")
     text = f"[camera]\nfov = {VIEW.fov}\npitch = {VIEW.pitch}\n"
     for name, mask, more in zip("ab", drawn.masks, ("height = 0.08", "")):
-        text += f'[[object]]\nname = "{name}"\nbox = {drawn_photograph.around(mask)}\n{more}\n'
+        text += (
+            f'[[object]]\nname = "{name}"\nbox = {drawn_photograph.bounding_box(mask)}\n{more}\n'
+        )
     (tmp_path / "layout.toml").write_text(text)
 
     class Depth:

@@ -38,7 +38,7 @@ def reference(coffee) -> np.ndarray:
 def cut(rgb, box, on=(), out=()):
     points = [(float(x), float(y), True) for x, y in on]
     points += [(float(x), float(y), False) for x, y in out]
-    mask = grabcut.grabcut(rgb, box, points)
+    mask = grabcut.segment_box(rgb, box, points)
     broken = [point for point in points if mask[int(point[1]), int(point[0])] != point[2]]
     assert broken == []
     return mask

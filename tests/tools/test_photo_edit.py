@@ -68,7 +68,7 @@ def test_click_paint_undo_save_and_the_same_masks_without_the_page(photo, tmp_pa
         page.on("pageerror", lambda error: errors.append(str(error)))
         page.goto(editor.address)
         hand = Hand(page)
-        left, top, right, bottom = drawn_photograph.around(ball)
+        left, top, right, bottom = drawn_photograph.bounding_box(ball)
         hand.drag((left, top), (right, bottom))  # object 1: a box
         hand.press("n")
         hand.drag(middle(cup))  # object 2: a click
@@ -219,7 +219,7 @@ def session_of(photo, text=None):
 
 def test_what_was_not_edited_stays_as_it_was_written(photo):
     ball = drawn_photograph.three().masks[0]
-    text = LAYOUT.format(box=drawn_photograph.around(ball))
+    text = LAYOUT.format(box=drawn_photograph.bounding_box(ball))
     session = session_of(photo, text)
     first, second = session.objects
     session.save(EditedLayout(objects=(first,)))
@@ -284,7 +284,7 @@ def test_points_of_a_large_photograph_are_pixels_of_the_file(tmp_path):
     rgb.resize((2070, 1553)).save(path)
     session = session_of(path)
     ball = drawn_photograph.three().masks[0]
-    box = tuple(2 * v for v in drawn_photograph.around(ball))
+    box = tuple(2 * v for v in drawn_photograph.bounding_box(ball))
     x, y = middle(ball)
     item = EditedObject(
         key="a", name="ball", box=box, points=((2 * x + 0.5, 2 * y + 0.5, True), (3.5, 7.5, False))

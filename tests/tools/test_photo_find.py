@@ -127,7 +127,7 @@ def test_points_say_what_is_it_and_what_is_not():
     noise = np.random.default_rng(1).integers(-5, 6, rgb.shape)
     rgb = np.clip(rgb.astype(int) + noise, 0, 255).astype(np.uint8)
     box = grabcut.Box(40, 36, 200, 124)
-    both = grabcut.grabcut(rgb, box, [])
+    both = grabcut.segment_box(rgb, box, [])
     assert grabcut.iou(both, left | right) > 0.95
-    one = grabcut.grabcut(rgb, box, [(160.0, 80.0, False), (80.0, 80.0, True)])
+    one = grabcut.segment_box(rgb, box, [(160.0, 80.0, False), (80.0, 80.0, True)])
     assert grabcut.iou(one, left & ~right) > 0.95

@@ -39,7 +39,7 @@ shutil.copy(here / "made.ply", given.output)
 
 def standin(folder, act="", up="-y", yaw=0.0):
     """A program that gives a duck, and the head of a layout that names it."""
-    duck_photograph.given(folder / "made.ply", up, yaw)
+    duck_photograph.write_duck(folder / "made.ply", up, yaw)
     (folder / "standin.py").write_text(STANDIN.replace("ACT", act))
     program = f'script = "standin.py"\npython = "{sys.executable}"\nseed = 7'
     return f'[bodies]\nmethod = "program"\n{program}'
@@ -74,7 +74,7 @@ def test_axes_scale_and_turn_are_found(tmp_path, yaw, up, own):
     found = drawn_photograph.corners(tmp_path / "out", "duck") + drawn_photograph.eye_of(
         tmp_path / "out"
     )
-    truth = duck_photograph.standing(yaw).x
+    truth = duck_photograph.placed_duck(yaw).x
     size = np.ptp(found, axis=0) / np.ptp(truth, axis=0) - 1
     print(f"turn off by {off:.1f} deg, sizes by {size.round(3)}")
     assert abs(off) <= 10
@@ -210,7 +210,7 @@ def test_those_that_are_known_say_what_their_interpreter_lacks(tmp_path, kind, p
 
 def test_a_folder_of_bodies_goes_before(tmp_path):
     (tmp_path / "mine").mkdir()
-    duck_photograph.given(tmp_path / "mine" / "duck.ply")
+    duck_photograph.write_duck(tmp_path / "mine" / "duck.ply")
     duck_photograph.put(tmp_path, 40, '[bodies]\nfolder = "mine"', 'up = "-y"')
     assert go(tmp_path) == 0
     told = layouts.read(tmp_path / "layout.toml").layout.object[0]

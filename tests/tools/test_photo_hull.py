@@ -70,7 +70,7 @@ def test_a_hull_stands_in_a_photograph(tmp_path):
     drawn_photograph.Image.fromarray(drawn.rgb).save(tmp_path / "photo.png")
     (tmp_path / "layout.toml").write_text(
         f"[camera]\nfov = {drawn_photograph.VIEW.fov}\npitch = {drawn_photograph.VIEW.pitch}\n"
-        f'[[object]]\nname = "dome"\nbox = {drawn_photograph.around(mask)}\nheight = 0.115\n'
+        f'[[object]]\nname = "dome"\nbox = {drawn_photograph.bounding_box(mask)}\nheight = 0.115\n'
         'multi_view = "around/transforms.json"\n'
     )
     out = tmp_path / "out"

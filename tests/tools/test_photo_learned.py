@@ -63,8 +63,8 @@ class Draws:
         return iter([torch.zeros(1)])
 
     def __call__(self, pixel_values, multimask_output, input_boxes=None, input_points=None, **more):
-        self.asked = {"pixel_values": pixel_values, "boxes": input_boxes, "points": input_points}
-        self.asked |= more
+        self.inputs = {"pixel_values": pixel_values, "boxes": input_boxes, "points": input_points}
+        self.inputs |= more
         count = (input_boxes if input_boxes is not None else input_points).shape[1]
         at = (torch.arange(self.fine) + 0.5) * self.size / self.fine
         y, x = torch.meshgrid(at, at, indexing="ij")
@@ -93,7 +93,7 @@ def test_a_mask_lies_where_the_box_is(kind):
     assert score > 0.93
     # 160 x 120 into 128 x 128: by .8 both ways where the shape is kept, else by .8 and 16 / 15
     tall = 0.8 if kind == "sam" else 128 / 120
-    boxes = model.asked["boxes"]
+    boxes = model.inputs["boxes"]
     assert boxes.shape == (1, 1, 4)
     assert torch.allclose(boxes[0, 0], torch.tensor([16.0, 30 * tall, 64.0, 90 * tall]))
 
@@ -104,15 +104,15 @@ def test_points_are_scaled_and_told_apart(kind):
     sam.Sam(model, sam.KINDS[kind])(picture(), None, [(40, 60, True), (100, 20, False)])
     tall = 0.8 if kind == "sam" else 128 / 120
     wanted = torch.tensor([[[[32.0, 60 * tall], [80.0, 20 * tall]]]])
-    assert torch.allclose(model.asked["points"], wanted)
-    assert model.asked["input_labels"].tolist() == [[[1, 0]]]
+    assert torch.allclose(model.inputs["points"], wanted)
+    assert model.inputs["input_labels"].tolist() == [[[1, 0]]]
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_pixels_have_their_channels_rows_and_means(kind):
     model = Draws(128, 64)
     sam.Sam(model, sam.KINDS[kind])(picture(), BOX, [])
-    pixels = model.asked["pixel_values"]
+    pixels = model.inputs["pixel_values"]
     assert pixels.shape == (1, 3, 128, 128) and pixels.dtype == torch.float32
     mean, std = np.array(sam.KINDS[kind].look)
     rows = 96 if kind == "sam" else 128
@@ -132,7 +132,7 @@ def test_pixels_of_sam_are_those_of_its_own_processor():
     wanted = own(picture(), return_tensors="np")["pixel_values"]
     model = Draws(128, 64)
     sam.Sam(model, sam.KINDS["sam"])(picture(), BOX, [])
-    assert np.abs(wanted - model.asked["pixel_values"].numpy()).max() < 0.02
+    assert np.abs(wanted - model.inputs["pixel_values"].numpy()).max() < 0.02
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -170,7 +170,7 @@ def test_weights_survive_being_saved(folder, kind):
 def test_proposals_are_boxes_each_once():
     model = Draws(128, 64)
     boxes = sam.Sam(model, sam.KINDS["sam2"]).propose(picture())
-    assert model.asked["points"].shape == (1, sam.GRID_POINTS**2, 1, 2)
+    assert model.inputs["points"].shape == (1, sam.GRID_POINTS**2, 1, 2)
     assert len(boxes) > 4
     found = np.zeros((len(boxes), HEIGHT, WIDTH), bool)
     for one, box in zip(found, boxes):

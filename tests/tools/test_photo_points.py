@@ -24,7 +24,7 @@ def two_plates() -> np.ndarray:
 
 @pytest.mark.parametrize("points", [[], [(215.0, 100.0, True)], [(215.0, 100.0, False)]])
 def test_a_point_keeps_the_part_that_it_lies_on(points):
-    mask = grabcut.grabcut(two_plates(), BOX, points)
+    mask = grabcut.segment_box(two_plates(), BOX, points)
     assert mask[100, 100]
     assert mask[100, 215] == any(is_object for *_, is_object in points)
 
@@ -73,14 +73,14 @@ CUP = grabcut.Box(80, 40, 240, 160)
 
 
 def test_a_thin_part_stays_where_a_point_lies_on_it():
-    assert not grabcut.grabcut(cup(), CUP, [])[100, 215]
-    mask = grabcut.grabcut(cup(), CUP, [(215.0, 100.0, True)])
+    assert not grabcut.segment_box(cup(), CUP, [])[100, 215]
+    mask = grabcut.segment_box(cup(), CUP, [(215.0, 100.0, True)])
     assert mask[100, 215] and mask[100, 200] and not mask[120, 215]
 
 
 def test_a_hole_stays_open_where_a_point_lies_outside():
-    assert grabcut.grabcut(cup(), CUP, [])[100, 140]
-    mask = grabcut.grabcut(cup(), CUP, [(140.0, 100.0, False)])
+    assert grabcut.segment_box(cup(), CUP, [])[100, 140]
+    mask = grabcut.segment_box(cup(), CUP, [(140.0, 100.0, False)])
     assert not mask[90:110, 130:150].any() and mask[100, 110]
 
 
@@ -95,7 +95,7 @@ def test_points_of_both_kinds_spread_alike():
     box = grabcut.Box(80, 30, 220, 170)
     half = disc & (x > 153)
     share = [
-        grabcut.grabcut(rgb, box, [(110.0, 100.0, True), (180.0, 100.0, k)])[half].mean()
+        grabcut.segment_box(rgb, box, [(110.0, 100.0, True), (180.0, 100.0, k)])[half].mean()
         for k in (True, False)
     ]
     assert share[0] > 0.97 and share[1] < 0.03, share
@@ -116,7 +116,7 @@ def test_no_point_is_broken(seed):
         x, y = places[k]
         if len(chosen) < 8 and all(np.hypot(x - a, y - b) > 12 for a, b, _ in chosen):
             chosen.append((float(x), float(y), bool(red[y, x])))
-    mask = grabcut.grabcut(rgb, box, chosen)
+    mask = grabcut.segment_box(rgb, box, chosen)
     assert [point for point in chosen if mask[int(point[1]), int(point[0])] != point[2]] == []
 
 

@@ -158,7 +158,7 @@ class Jumping:
     def cells(self, setting):
         return int(dict(setting.knobs).get("cells", 16))
 
-    def off(self, setting):
+    def deviation(self, setting):
         return 0.16 / self.cells(setting) * (3 if self.cells(setting) == 12 else 1)
 
 
@@ -169,7 +169,7 @@ class Jumping:
 def test_a_choice_that_is_not_as_expected_is_replaced(block, aim, cells, ran):
     study = Jumping(block)
     found = [m for m in measured(block) if m.setting.of_grid]
-    choice, known = setting_study.choose(study, found, study.off, aim, 5)
+    choice, known = setting_study.choose(study, found, study.deviation, aim, 5)
     assert (choice and choice.cells) == cells and len(study.ran) == ran
     assert len(known) == len(found) + ran
 
@@ -185,7 +185,7 @@ def test_the_finest_run_may_be_what_is_chosen(block):
     """Its error is not known, but it is not run again."""
     study = Jumping(block)
     found = [m for m in measured(block) if m.setting.of_grid]
-    choice, _ = setting_study.choose(study, found, study.off, (None, 52.0), 5)
+    choice, _ = setting_study.choose(study, found, study.deviation, (None, 52.0), 5)
     assert choice.cells == 24 and choice.error > 0 and study.ran == []
 
 
@@ -349,10 +349,10 @@ def test_mass_that_is_elsewhere_is_counted(tmp_path, monkeypatch):
         times = np.zeros(2)
 
         def __init__(self, spread):
-            self.found = spread
+            self.masses = spread
 
-        def spread(self, frame):
-            return self.found
+        def mass_in_boxes(self, frame):
+            return self.masses
 
     assert mass_displacement(Told(moved), Told(still)) == pytest.approx(0.1)
 

@@ -56,7 +56,7 @@ def test_a_photograph_becomes_a_scene_that_runs(tmp_path, thing, material, suppo
         [drawn_photograph.THINGS[thing]], view, drawn_photograph.EYE
     )
     Image.fromarray(drawn.rgb).save(tmp_path / "photo.png")
-    box = [int(edge) for edge in drawn_photograph.around(drawn.masks[0])]
+    box = [int(edge) for edge in drawn_photograph.bounding_box(drawn.masks[0])]
     form = drawn_photograph.FORMS[thing]
     (tmp_path / "layout.toml").write_text(
         LAYOUT.format(

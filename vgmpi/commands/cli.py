@@ -140,14 +140,14 @@ def _calibrate(ranks: SerialCommunicator) -> int:
         pace = calibration.host_throughput(precision, remeasure=True)
         print(
             f"{precision:6s}  {pace.fluid:.1f} ns per particle and step of a fluid,"
-            f" {pace.elastic:.1f} elastic: {pace.of}"
+            f" {pace.elastic:.1f} elastic: {pace.origin}"
         )
     return 0
 
 
 def memory_refusal(needed: int, ranks: SerialCommunicator) -> str:
     """Return one line if the run needs more than 90 % of the machine's free memory, else ""."""
-    share = needed * ranks.here / ranks.size
+    share = needed * ranks.local_size / ranks.size
     available = process_limits.available_memory()
     if available and share > 0.9 * available:
         return (

@@ -15,13 +15,13 @@ from vgmpi.runtime.config.schema import SceneError
 from vgmpi.runtime.live_process import start_live_page
 from vgmpi.runtime.message_text import format_duration
 from vgmpi.scene.scene import Scene
-from vgmpi.solver import run as runs
-from vgmpi.solver.diagnostics import progress as report
 from vgmpi.solver.diagnostics.eta import RemainingTimeEstimator
 from vgmpi.solver.diagnostics.post_run_advice import RunObserver, advice
+from vgmpi.solver.diagnostics.progress import Clock, Progress, rank_profile, timing_table
 from vgmpi.solver.estimates import calibration
 from vgmpi.solver.estimates.pilot_run import pilot_run
 from vgmpi.solver.initial_particles import ParticleSummary
+from vgmpi.solver.run import BLEW_UP, DONE, Options, prepared_run
 from vgmpi.solver.run_options import InvalidRunOptions
 from vgmpi.solver.simulation import BlowUp
 from vgmpi.solver.stop_requests import begin_steps
@@ -61,7 +61,7 @@ class PlanApproval:
         pilot = pilot_run(scene, plan, summary) if args.pilot else None
         if pilot is not None:
             self.estimator = RemainingTimeEstimator(
-                *pilot.ahead(scene, plan, pace or ASSUMED_THROUGHPUT[real])
+                *pilot.remaining_cost(scene, plan, pace or ASSUMED_THROUGHPUT[real])
             )
         text = format_plan(scene, plan, ranks.size, start_time, pace, pilot, args.verbose)
         print(text, flush=True)
@@ -81,16 +81,16 @@ def run_scene(
         ranks: Communicator.
     """
     approval = PlanApproval(args, ranks)
-    options = runs.Options(
+    options = Options(
         folder, args.threads, args.engine, args.resume, args.stop_steps, args.stop_seconds,
         args.overwrite, args.change,
     )  # fmt: skip
     try:
-        with runs.prepared_run(scene, ranks, options, approval) as run:
-            clock = run.simulation.clock = report.Clock()
+        with prepared_run(scene, ranks, options, approval) as run:
+            clock = run.simulation.clock = Clock()
             if args.engine == "cpu":  # the work of a card takes no time of the processor
                 run.simulation.pace.busy = lambda: clock.work
-            progress = report.Progress(run, args.quiet, approval.estimator)
+            progress = Progress(run, args.quiet, approval.estimator)
             observer = RunObserver()
             options.listeners += [progress, observer.step]
             options.watchers.append(lambda run: observer.frame(run.latest_conservation))
@@ -103,20 +103,20 @@ def run_scene(
                 log.info(describe_stop(ranks.library, find_launcher(), job, supervisor))
             code = run.run()
             progress.close()
-            lines = [report.timing_table(run, clock)]
-            if code == runs.DONE and approval.prediction:
+            lines = [timing_table(run, clock)]
+            if code == DONE and approval.prediction:
                 duration = format_duration(clock.last - clock.began)
                 prediction = format_duration(approval.prediction)
                 lines.append(f"  predicted  about {prediction}; the run took {duration}")
-            if code == runs.DONE and run.first_step == 0:  # the whole run was observed
+            if code == DONE and run.first_step == 0:  # the whole run was observed
                 lines += advice(run.scene, run.plan, observer)
             if args.profile:
-                lines.append(report.rank_profile(run, clock))
+                lines.append(rank_profile(run, clock))
     except InvalidRunOptions as error:
         return refuse([f"--{error}"], ranks)
     except BlowUp as error:  # before the first frame
         log.error("blow-up: %s", error)
-        return runs.BLEW_UP
+        return BLEW_UP
     if ranks.rank == 0 and not args.quiet:
         outcome = {0: "done", 3: "blew up", 75: "stopped; go on with --resume"}[code]
         print(*lines, f"{outcome}: {folder}", sep="\n", flush=True)

@@ -20,7 +20,7 @@ class Camera:
         fx, fy: Focal lengths [pixels].
         cx, cy: Principal point [pixels].
         width, height: Picture size [pixels].
-        near: Depth of the near plane [m]; nothing closer is drawn.
+        near_plane: Depth of the near plane [m]; nothing closer is drawn.
     """
 
     world_to_camera: np.ndarray
@@ -30,7 +30,7 @@ class Camera:
     cy: float
     width: int
     height: int
-    near: float = NEAR_PLANE
+    near_plane: float = NEAR_PLANE
 
     @property
     def eye(self) -> np.ndarray:

@@ -22,7 +22,7 @@ from typing import Literal
 
 import numpy as np
 
-from . import spherical_harmonics as harmonics
+from . import spherical_harmonics
 from .cloud import CaptureRecord, GaussianCloud, quaternion, quaternion_product
 
 PLY_FRAME = "RDF"  # frame of captures in a .ply: right, down, forward
@@ -78,14 +78,16 @@ def to_ply_frame(cloud: GaussianCloud, frame: str) -> GaussianCloud:
         sh = cloud.sh * _coefficient_signs(matrix, cloud.sh.shape[1])[:, None]
     else:
         quat = quaternion_product(quaternion(np.round(np.linalg.det(order)) * order), quat)
-        sh = harmonics.rotate(cloud.sh, matrix)
+        sh = spherical_harmonics.rotate(cloud.sh, matrix)
     return replace(cloud, x=cloud.x @ matrix.T, quat=quat, sh=sh)
 
 
 def _coefficient_signs(matrix: np.ndarray, count: int) -> np.ndarray:
     """Return the signs (count,) of SH coefficients under a diagonal matrix of signs (3, 3)."""
     units = np.repeat(np.eye(count)[:, :, None], 3, axis=2)
-    return np.rint(np.diagonal(harmonics.rotate(units, matrix)[..., 0])).astype(np.float32)
+    return np.rint(np.diagonal(spherical_harmonics.rotate(units, matrix)[..., 0])).astype(
+        np.float32
+    )
 
 
 def in_ply_frame(cloud: GaussianCloud, frame: str | None, encoding: str) -> GaussianCloud:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import spherical_harmonics as harmonics
+from . import spherical_harmonics
 
 OTHER_AXES = np.array([(1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)])  # of a quaternion but one
 
@@ -77,7 +77,7 @@ class GaussianCloud:
                 raise ValueError(f"Cloud.{name} has shape {value.shape}, expected {shape}")
             object.__setattr__(self, name, value)
         coefficients = np.ascontiguousarray(self.sh, dtype=np.float32)
-        allowed = [(n, k, 3) for k in harmonics.COEFFICIENTS]
+        allowed = [(n, k, 3) for k in spherical_harmonics.COEFFICIENTS]
         if coefficients.shape not in allowed:
             raise ValueError(f"Cloud.sh has shape {coefficients.shape}, expected one of {allowed}")
         object.__setattr__(self, "sh", coefficients)
@@ -96,7 +96,7 @@ class GaussianCloud:
     @property
     def rgb(self) -> np.ndarray:
         """Colors without their view dependence, in 0..1 (n, 3)."""
-        return np.clip(harmonics.rgb_from_dc(self.sh[:, 0].astype(np.float64)), 0.0, 1.0)
+        return np.clip(spherical_harmonics.rgb_from_dc(self.sh[:, 0].astype(np.float64)), 0.0, 1.0)
 
     @property
     def shades(self) -> np.ndarray:
@@ -147,7 +147,7 @@ class GaussianCloud:
             x=scale * self.x @ rotation.T + np.asarray(shift, dtype=np.float64),
             quat=quat / np.linalg.norm(quat, axis=1, keepdims=True),
             scale=scale * self.scale,
-            sh=harmonics.rotate(self.sh, rotation),
+            sh=spherical_harmonics.rotate(self.sh, rotation),
         )
 
 

@@ -71,7 +71,7 @@ def write(folder: str | Path, ranks: SerialCommunicator, state: dict) -> Path:
             for name, local in rows.items():
                 f.rows(name, local)
             for name, array in root_arrays.items():
-                f.whole(name, array)
+                f.root_array(name, array)
             f.text("attrs", text)
         entries = _manifest_entries(rows, root_arrays, text, ranks)
         _finish(path, attrs, entries, ranks)
@@ -288,7 +288,7 @@ class Checkpoint:
         """
         return self.file[name][start:stop]
 
-    def whole(self, name: str) -> np.ndarray:
+    def array(self, name: str) -> np.ndarray:
         """Return a complete dataset."""
         return self.file[name][()]
 

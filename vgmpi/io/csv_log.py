@@ -32,7 +32,7 @@ class CsvLog:
     Raises StoreError on all ranks if writing fails, and RunError if existing rows are damaged.
 
     Attributes:
-        kept: Rows that were retained at the start, on rank 0.
+        retained_rows: Rows that were retained at the start, on rank 0.
         sum: Checksum of the last row, which depends on all rows, on rank 0.
     """
 
@@ -52,7 +52,7 @@ class CsvLog:
             last_step: Later rows are dropped; None starts a new table.
         """
         self.path, self.columns, self.ranks = path, columns, ranks
-        self.kept: list[dict] = []
+        self.retained_rows: list[dict] = []
         self.sum = 0
         if last_step is not None:
             _on_root(ranks, lambda: self._keep(last_step))
@@ -71,14 +71,16 @@ class CsvLog:
     def _keep(self, last_step):
         """Read the rows to retain."""
         if os.path.lexists(self.path):
-            self.kept = [r for r in read_rows(self.path, self.columns) if r["step"] <= last_step]
+            self.retained_rows = [
+                r for r in read_rows(self.path, self.columns) if r["step"] <= last_step
+            ]
         else:
             log.warning("%s is not there: it begins behind step %d", self.path, last_step)
 
     def _start(self):
         """Write the header and the retained rows."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        text, self.sum = _lines(self.kept, self.columns)
+        text, self.sum = _lines(self.retained_rows, self.columns)
         hdf5_writer.replace_text(self.path, _header(self.columns) + "\n" + text)
 
     def append(self, rows: Iterable[dict]) -> None:

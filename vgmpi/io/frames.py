@@ -126,13 +126,13 @@ class Frames:
                 if name != "positions":
                     arrays[name] = (rows.shape[1:], field.dtype)
             count = self._topology(f, len(redistribute.ids))
-            f.whole("VTKHDF/FieldData/time", np.array([time], np.float64))
-            f.whole("VTKHDF/FieldData/step", np.array([step], np.int64))
-            f.whole("frame", np.array(index, np.int64))
+            f.root_array("VTKHDF/FieldData/time", np.array([time], np.float64))
+            f.root_array("VTKHDF/FieldData/step", np.array([step], np.int64))
+            f.root_array("frame", np.array(index, np.int64))
             if self.particles is not None:
-                f.whole("gaussians_crc", np.array(self.particles, np.uint32))
+                f.root_array("gaussians_crc", np.array(self.particles, np.uint32))
             if poses is not None:
-                f.whole("poses", poses)
+                f.root_array("poses", poses)
             f.seal()
         self._written[index] = _Written(path.name, time, step, count, arrays, self.index_dtype)
         error = None
@@ -178,13 +178,13 @@ class Frames:
             "Vertices/NumberOfCells",
             "Vertices/NumberOfConnectivityIds",
         ):
-            f.whole(f"VTKHDF/{name}", np.array([total], np.int64))
+            f.root_array(f"VTKHDF/{name}", np.array([total], np.int64))
         numbers = np.arange(first, first + count + last, dtype=self.index_dtype)
         f.rows("VTKHDF/Vertices/Connectivity", numbers[:count])
         f.rows("VTKHDF/Vertices/Offsets", numbers)  # n + 1 entries: the last rank has one more
         for kind in EMPTY_KINDS:
             for name, values in _empty_cells(1).items():
-                f.whole(f"VTKHDF/{kind}/{name}", values)
+                f.root_array(f"VTKHDF/{kind}/{name}", values)
         return total
 
     def _write_series(self):
@@ -212,12 +212,12 @@ class Frames:
                 "Vertices/NumberOfCells",
                 "Vertices/NumberOfConnectivityIds",
             ):
-                s.whole(f"VTKHDF/{name}", np.array(counts, np.int64))
+                s.root_array(f"VTKHDF/{name}", np.array(counts, np.int64))
             for kind in EMPTY_KINDS:
                 for name, values in _empty_cells(len(frames)).items():
-                    s.whole(f"VTKHDF/{kind}/{name}", values)
+                    s.root_array(f"VTKHDF/{kind}/{name}", values)
             _steps(s, frames, counts, arrays)
-            s.whole("frames", np.array(numbers, np.int64))
+            s.root_array("frames", np.array(numbers, np.int64))
             s.seal()
 
 
@@ -253,7 +253,7 @@ def _steps(s, frames, counts, arrays):
         steps[f"FieldDataOffsets/{name}"] = np.arange(n, dtype=np.int64)
         steps[f"FieldDataSizes/{name}"] = np.ones((n, 2), np.int64)
     for name, values in steps.items():
-        s.whole(f"VTKHDF/Steps/{name}", values)
+        s.root_array(f"VTKHDF/Steps/{name}", values)
 
 
 def _virtual(s, name, frames, counts, shape, dtype):

@@ -194,7 +194,7 @@ class Hdf5Writer:
             shuffle=True, track_times=False,
         )  # fmt: skip
 
-    def whole(self, name: str, array: np.ndarray | None) -> None:
+    def root_array(self, name: str, array: np.ndarray | None) -> None:
         """Add a small dataset with the values of rank 0."""
         if self.file is not None:
             values = np.asarray(array, order="C")

@@ -20,7 +20,7 @@ class SerialCommunicator:
 
     rank = 0
     size = 1
-    here = 1  # number of ranks on this machine
+    local_size = 1  # number of ranks on this machine
     place = 0  # number of this rank among them
     mpi = None
 
@@ -152,7 +152,7 @@ class MpiCommunicator(SerialCommunicator):
         self.size = self.mpi.Get_size()
         self._round = 1
         neighbours = self.mpi.Split_type(MPI.COMM_TYPE_SHARED)
-        self.here, self.place = neighbours.Get_size(), neighbours.Get_rank()
+        self.local_size, self.place = neighbours.Get_size(), neighbours.Get_rank()
         neighbours.Free()
         self._links: list[_MpiLink] = []  # those whose requests are not freed
         atexit.register(self._close_links)  # before mpi4py ends MPI

@@ -132,7 +132,7 @@ class MotionWriter:
             accuracy: Largest error of a coordinate [cells].
             key_interval: Frames from one key frame to the next.
         """
-        self.groups, self.rest, self.key_interval = list(groups), gaussians, key_interval
+        self.groups, self.rest_gaussians, self.key_interval = list(groups), gaussians, key_interval
         self.step = 2 * accuracy * cell
         self.origin = gaussians.x.min(axis=0) if len(gaussians.x) else np.zeros(3)
         self.header: dict[str, Any] = {
@@ -172,7 +172,7 @@ class MotionWriter:
 
     def _rest_block(self, starts: np.ndarray) -> bytes:
         """Return the compressed rest Gaussians."""
-        gaussians = self.rest
+        gaussians = self.rest_gaussians
         pieces = [*_planes((gaussians.root / self.header["cell"]).astype("<f2"))]
         pieces += _planes(np.rint(np.clip(gaussians.opacity, 0, 1) * 65535).astype("<u2"))
         pieces += _planes(gaussians.sh[:, 0].astype("<f2"))
@@ -292,7 +292,7 @@ class MotionReader:
     Attributes:
         header: Header of the stream.
         groups: Groups in the order of the Gaussians.
-        rest: Gaussians at rest; positions of FREE groups are zero.
+        rest_gaussians: Gaussians at rest; positions of FREE groups are zero.
         times: Times of the frames, shape (frames,) [s].
     """
 
@@ -314,7 +314,7 @@ class MotionReader:
             if sum(entry["bytes"] for entry in blocks) != len(data) - self._base:
                 raise GaussianFileError("is damaged: its size is not that of its frames")
             self._starts = np.cumsum([0, *(group.count for group in self.groups)])
-            self.rest = self._read_rest()
+            self.rest_gaussians = self._read_rest()
         except (KeyError, TypeError, ValueError, IndexError, struct.error, zlib.error) as error:
             if isinstance(error, GaussianFileError):
                 raise
@@ -404,10 +404,10 @@ class MotionReader:
     def frame(self, index: int) -> MotionFrame:
         """Return the Gaussians of a frame."""
         n, steps = self.header["count"], self.header["steps"]
-        x, present = self.rest.x.copy(), np.ones(n, bool)
+        x, present = self.rest_gaussians.x.copy(), np.ones(n, bool)
         rotation = np.tile(np.eye(3), (n, 1, 1))
         stretch = np.tile(np.eye(3), (n, 1, 1))
-        rgb = rgb_from_dc(self.rest.sh[:, 0])
+        rgb = rgb_from_dc(self.rest_gaussians.sh[:, 0])
         states = iter(self.bins(index))
         poses = self.header["frames"][index].get("poses", [])
         for k, group in enumerate(self.groups):
@@ -431,6 +431,6 @@ class MotionReader:
                 stretch[rows] = unpack_symmetric(triangles)
             if group.color:
                 rgb[rows] = bins[:, -3:] * steps["color"]
-        shape = rotation @ stretch @ unpack_symmetric(self.rest.root)
+        shape = rotation @ stretch @ unpack_symmetric(self.rest_gaussians.root)
         cov = pack_symmetric(shape @ shape.transpose(0, 2, 1))
         return MotionFrame(present, x, cov, rotation, rgb)

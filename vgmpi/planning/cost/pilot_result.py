@@ -87,7 +87,7 @@ class PilotRun(NamedTuple):
         steps = np.array([m.steps for m in self.moments])
         return float((self.overhead(pace) * steps).sum() / self.steps)
 
-    def ahead(
+    def remaining_cost(
         self, scene: Scene, plan: Plan, pace: Throughput
     ) -> tuple[TimeFunction, TimeFunction]:
         """Return the cost of a step [ns] and the steps per second, as functions of time [s].

@@ -145,7 +145,7 @@ def _steps(
     if rehearsal is None and pours_onto_bodies(scene, plan):
         duration_text = duration_text.replace("about", "at least")
     unknown = _unknown_part(scene, plan, rehearsal)
-    duration_line = f"{duration_text} on {ranks} rank(s), one core each, {pace.of}{unknown}"
+    duration_line = f"{duration_text} on {ranks} rank(s), one core each, {pace.origin}{unknown}"
     if not is_known:
         duration_line = "unknown: this processor is not measured yet (--calibrate, a minute)"
 

@@ -11,7 +11,7 @@ class Throughput(NamedTuple):
 
     fluid: float
     elastic: float
-    of: str  # origin: name of the processor, for display
+    origin: str  # name of the processor, for display
 
     def law(self, material: Any) -> float:
         """Return the time of a material's law [ns per particle and step].

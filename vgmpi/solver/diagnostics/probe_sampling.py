@@ -57,8 +57,8 @@ class Probes:
             return
         for probe, (path, columns) in zip(scene.probe, files(scene, folder).items(), strict=True):
             self.files[probe.name] = CsvLog(path, columns, simulation.ranks, last_step)
-            self.rows[probe.name] = self.files[probe.name].kept[-1:]
-            self.files[probe.name].kept = []
+            self.rows[probe.name] = self.files[probe.name].retained_rows[-1:]
+            self.files[probe.name].retained_rows = []
 
     def first(self) -> None:
         """Record the rows of the start."""

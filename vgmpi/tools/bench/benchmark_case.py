@@ -86,14 +86,14 @@ class Case:
         return 1.0 / max(wave / (COURANT * DX), viscous / 0.75)
 
     @property
-    def room(self) -> int:
+    def edge_cells(self) -> int:
         """Cells along an edge of a dense grid: the cube and about 40 % for it to move."""
         return max(int(np.ceil(1.4 * self.side)), self.side + 12)
 
     @property
     def dense_steps(self) -> int:
         """Steps until the cube nears the border of the dense grid."""
-        return int((self.room - self.side - 2 * MARGIN - 1) / PER_STEP)
+        return int((self.edge_cells - self.side - 2 * MARGIN - 1) / PER_STEP)
 
     def text(self, precision: str) -> str:
         """The scene as a TOML text."""
@@ -133,7 +133,7 @@ shape = {{ box = [[{low:.6g}, {low:.6g}, {low:.6g}], [{high:.6g}, {high:.6g}, {h
             "dx": DX,
             "dt": self.dt,
             "gravity": GRAVITY,
-            "cells": self.room,
+            "cells": self.edge_cells,
             "steps": self.dense_steps,
         }
 

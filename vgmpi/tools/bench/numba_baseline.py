@@ -10,7 +10,7 @@ import time
 import numba
 import numpy as np
 
-from vgmpi.runtime import jit as _jit  # noqa: F401  (sets numba's cache folder first)
+import vgmpi.runtime.jit  # noqa: F401  (sets numba's cache folder first)
 from vgmpi.runtime.compile_cache import njit_cached
 
 from .dense_grid_baseline import Dense

@@ -15,7 +15,7 @@ from vgmpi.runtime.config.schema import (
     format_validation_errors,
 )
 from vgmpi.runtime.config.toml_source import TomlSource
-from vgmpi.scene.loader import load as load_scene
+from vgmpi.scene import loader
 from vgmpi.scene.scene import Scene
 from vgmpi.tools.fit.video_prior.sds_config import Sds
 
@@ -295,7 +295,7 @@ class FitFile:
         """
         text = value if isinstance(value, str) else repr(value)
         try:
-            scene = load_scene(
+            scene = loader.load(
                 self.scene.path, (*self.scene.overrides, f"{key}={text}"), self.scene.text
             )
         except SceneError as error:

@@ -79,8 +79,10 @@ class RunTarget(Target):
         """Return the share of each body's mass in bins, (frames, bodies, bins)."""
         names = [o["name"] for o in outcome.run.objects]
         rows = [names.index(name) for name in self.wanted]
-        total = outcome.whole[rows]
-        return np.stack([outcome.spread(int(k), bins)[rows] / total[:, None] for k in frames])
+        total = outcome.body_masses[rows]
+        return np.stack(
+            [outcome.mass_in_boxes(int(k), bins)[rows] / total[:, None] for k in frames]
+        )
 
     def observe(self, folder: Path, stage: int) -> np.ndarray:
         """Return the scaled shares of a run in the bins of a stage, shape (n,)."""

@@ -12,7 +12,7 @@ from vgmpi.tools.fit.video_prior.denoising_target import DenoisingTarget
 from vgmpi.tools.fit.video_prior.score_distillation import directional_derivative
 from vgmpi.tools.tradeoff.study_runs import StudyError
 
-from . import optimizers as fitted
+from . import optimizers
 from .evaluations import BudgetExhausted, Evaluations, step_along
 from .fit_config import FitFile
 
@@ -52,10 +52,10 @@ def search(file: FitFile, trials: Evaluations) -> SdsResult:
     if trials.max_runs < min_runs:
         message = f"must be {min_runs} or more for {count} parameters of [sds]"
         raise file.wrong(("method", "max_runs"), f"{message}; got {method.max_runs}")
-    u = fitted.start(file)
+    u = optimizers.start(file)
     try:
         if method.scan_points:
-            u = fitted.coarse_scan(trials, u, method.scan_points)
+            u = optimizers.coarse_scan(trials, u, method.scan_points)
             _reject_unseen(file, trials)
         else:
             trials.evaluate([u])
@@ -186,7 +186,7 @@ def _minimize_loss(trials: Evaluations, u: np.ndarray, seed: int) -> SdsResult:
     """
     notes = ["How sure this is, is not known: a model's taste has no residuals that would tell."]
     if len(u) > 1:
-        best = fitted.cma_es_fit(trials, u, seed)
+        best = optimizers.cma_es_fit(trials, u, seed)
         return SdsResult(best, len(trials.all) >= trials.max_runs, notes)
     trials.purpose, spent = "search", False
     scanned = sorted(t.u[0] for t in trials.all.values())

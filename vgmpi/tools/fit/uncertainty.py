@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student_t
+from scipy import stats
 
 from vgmpi.scene.scene import Scene
 from vgmpi.tools.tradeoff import parameter_sweep
@@ -112,9 +112,7 @@ def estimate_uncertainty(
     degrees_of_freedom = max(int(is_affected.sum() / correlated_count) - J.shape[1], 1)
     inverse = np.linalg.pinv(J.T @ J)
     standard_error = np.sqrt(np.diag(inverse) * float(residual @ residual) / degrees_of_freedom)
-    noise_halfwidth = (
-        float(student_t.ppf(0.5 + CONFIDENCE / 2, degrees_of_freedom)) * standard_error
-    )
+    noise_halfwidth = float(stats.t.ppf(0.5 + CONFIDENCE / 2, degrees_of_freedom)) * standard_error
     scale = np.maximum(np.sqrt(np.diag(inverse)), 1e-300)
     length = np.maximum(np.linalg.norm(J, axis=0), 1e-300)
     singular_values = np.linalg.svd(J / length, compute_uv=False)

@@ -8,9 +8,14 @@ import numpy as np
 from vgmpi.tools.tradeoff.study_runs import StudyError
 
 from . import optimizers, sds_descent
-from . import uncertainty as apart
 from .evaluations import BudgetExhausted, Evaluation, Evaluations
 from .fit_config import FitFile, FitFileError
+from .uncertainty import (
+    FitUncertainty,
+    estimate_uncertainty,
+    find_unidentifiable,
+    is_ill_conditioned,
+)
 
 # Runs reserved for the end besides the differences: two test identifiability, one takes the last
 # step, one has other cells.
@@ -27,7 +32,7 @@ class FitResult:
     """
 
     best: Evaluation
-    uncertainty: apart.FitUncertainty | None
+    uncertainty: FitUncertainty | None
     budget_exhausted: bool
     notes: tuple[str, ...] = ("No runs were left to tell how sure this is.",)
 
@@ -53,7 +58,7 @@ def run_fit(file: FitFile, trials: Evaluations) -> FitResult:
         u = optimizers.coarse_scan(trials, u, method.scan_points)
         _reject_insensitive(file, trials)
         trials.purpose = "told apart"
-        if len(u) > 1 and apart.is_ill_conditioned(trials.jacobian(u, stage, method.fd_step)):
+        if len(u) > 1 and is_ill_conditioned(trials.jacobian(u, stage, method.fd_step)):
             # One-sided differences have curvature errors, other ones in each parameter.
             _reject_unidentifiable(
                 file, trials, u, trials.jacobian(u, stage, method.fd_step, central=True)
@@ -98,7 +103,7 @@ def _finish_with_uncertainty(
         (best,) = trials.evaluate([optimizers.gauss_newton_step(trials, u, J)])
         return FitResult(
             best,
-            apart.estimate_uncertainty(trials, best, J, method.discretization_check),
+            estimate_uncertainty(trials, best, J, method.discretization_check),
             budget_exhausted,
         )
     except (BudgetExhausted, StudyError):
@@ -128,7 +133,7 @@ def _reject_unidentifiable(
     file: FitFile, trials: Evaluations, u: np.ndarray, J: np.ndarray
 ) -> None:
     """Reject parameters that cannot be told apart near u. Raises FitFileError."""
-    members = apart.find_unidentifiable(trials, u, J)
+    members = find_unidentifiable(trials, u, J)
     if not members:
         return
     names = [f"{file.axes[k].key} ({file.line(k)})" for k in members]

@@ -127,9 +127,9 @@ class OpenedRun:
         try:
             from IPython.display import Image
         except ImportError:
-            from PIL import Image as pillow
+            import PIL.Image
 
-            return pillow.fromarray(picture)
+            return PIL.Image.fromarray(picture)
         return Image(data=_png(picture), format="png")
 
     def show_live(self, particles: int = 100_000, height: int = 700) -> LiveCell:

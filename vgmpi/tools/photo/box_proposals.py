@@ -13,9 +13,9 @@ from .grabcut import (
     MaskError,
     box_of,
     box_overlap,
-    grabcut,
     opencv,
     rim_contrast,
+    segment_box,
 )
 from .photograph import Photograph
 
@@ -168,7 +168,7 @@ def _cut_out(rgb: np.ndarray, box: Box) -> np.ndarray | None:
     for _ in range(MAX_CUTS):
         wide = _wider(box, rgb)
         try:
-            mask = grabcut(rgb, box if wide == picture else wide, [])
+            mask = segment_box(rgb, box if wide == picture else wide, [])
         except MaskError:
             break
         area = float(mask.mean())

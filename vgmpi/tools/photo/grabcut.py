@@ -62,7 +62,7 @@ def opencv():
     return cv2
 
 
-def grabcut(rgb: np.ndarray, box: Box, points: list[tuple[float, float, bool]]) -> np.ndarray:
+def segment_box(rgb: np.ndarray, box: Box, points: list[tuple[float, float, bool]]) -> np.ndarray:
     """Return the object in a box, (height, width) bool.
 
     Args:

@@ -127,7 +127,7 @@ class _Search:
             return np.zeros(self.shape)
         on_floor = self.points - travel * (self.points[:, 2:] / travel[2])
         pixels, depth = self.camera.pixels(on_floor)
-        pixels = pixels[depth > self.camera.near]
+        pixels = pixels[depth > self.camera.near_plane]
         column, row = np.floor(pixels / REDUCTION).astype(int).T
         inside = (column >= 0) & (row >= 0) & (column < self.shape[1]) & (row < self.shape[0])
         hit = np.zeros(self.shape, bool)

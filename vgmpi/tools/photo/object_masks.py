@@ -6,9 +6,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from . import grabcut as masks
 from . import photograph
-from .grabcut import Box, MaskError
+from .grabcut import Box, MaskError, check_mask, largest_component, mask_warnings, segment_box
 from .layout_config import LayoutError, LoadedLayout, ObjectTable
 from .photograph import Photograph, PhotographError
 
@@ -57,7 +56,7 @@ def grabcut(rgb: np.ndarray, box: Box | None, points: PointPrompts, text: str | 
     """
     if box is None:
         raise MaskError("GrabCut needs box = [left, top, right, bottom] around it")
-    return masks.grabcut(rgb, box, points)
+    return segment_box(rgb, box, points)
 
 
 def segment_objects(loaded: LoadedLayout, photo: Photograph, finder: Finder) -> list[ObjectMask]:
@@ -80,7 +79,7 @@ def segment_objects(loaded: LoadedLayout, photo: Photograph, finder: Finder) -> 
     for k, (obj, object_mask) in enumerate(zip(loaded.layout.object, object_masks)):
         log.info("'%s': %d pixels, %s", obj.name, object_mask.mask.sum(), object_mask.origin)
         box = None if object_mask.is_from_file else scaled_box(obj, photo)
-        for warning in masks.mask_warnings(photo.rgb, object_mask.mask, box):
+        for warning in mask_warnings(photo.rgb, object_mask.mask, box):
             log.warning("'%s': %s", obj.name, warning)
         for point in missed_points(obj, object_mask.mask, photo.reduced):
             _, where = loaded.source.place(("object", k, "point_prompts"))
@@ -139,7 +138,7 @@ def _object_mask(
             mask = file_mask(obj, loaded.source.folder, photo)
         else:
             mask = finder(photo.rgb, box, points, obj.text)
-        masks.check_mask(mask)
+        check_mask(mask)
     except (MaskError, PhotographError) as error:
         raise KeyedError(key, error) from None
     return ObjectMask(mask, origin, obj.mask is not None)
@@ -161,7 +160,7 @@ def file_mask(obj: ObjectTable, folder: Path, photo: Photograph) -> np.ndarray:
         return _reduced_mask(photograph.read_mask(folder / obj.mask, photo), photo)
     if photo.alpha is None:
         raise KeyedError("box", NO_MASK)
-    return masks.largest_component(photo.alpha > 127)
+    return largest_component(photo.alpha > 127)
 
 
 def _reduced_mask(mask: np.ndarray, photo: Photograph) -> np.ndarray:

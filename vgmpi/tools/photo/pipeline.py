@@ -20,16 +20,16 @@ from . import (
     body_sources,
     box_proposals,
     height_from_depth,
+    layout_config,
     layout_text,
     learned_models,
     material_lookup,
+    object_masks,
     object_placement,
     photograph,
     preview,
     scene_writer,
 )
-from . import layout_config as layouts
-from . import object_masks as found
 from .body_sources import Guess, Scenery
 from .camera_guess import guess_view
 from .color_correction import correct_colors
@@ -65,15 +65,15 @@ def photo_to_scene(
         overwrite: Whether to replace a scene that was changed.
     """
     photo = photograph.read(photo_path)
-    loaded = layouts.read(layout_path)
+    loaded = layout_config.read(layout_path)
     folder = Folder(out, overwrite)
     names = [obj.name for obj in loaded.layout.object]
     learned = learned_models.load(loaded)
-    masks = found.segment_objects(loaded, photo, learned.finder)
-    found.overlapping_masks(masks, loaded.layout.object)
+    masks = object_masks.segment_objects(loaded, photo, learned.finder)
+    object_masks.overlapping_masks(masks, loaded.layout.object)
     guesses: list[Guess] = []
-    object_masks = [object_mask.mask for object_mask in masks]
-    view = guess_view(loaded, photo, object_masks, guesses)
+    mask_images = [object_mask.mask for object_mask in masks]
+    view = guess_view(loaded, photo, mask_images, guesses)
     unplaced = body_sources.make_bodies(Scenery(loaded, photo, view, out, {}), masks, guesses)
     unplaced, eye = _apply_depth(loaded, photo, view, unplaced, masks, learned, guesses)
     placed = _placed(loaded, view, unplaced, eye)
@@ -88,13 +88,13 @@ def photo_to_scene(
     domain = scene_writer.domain_around(scene_objects, requested.cells)
     camera = view.camera(eye_at, scene_writer.near_plane(eye_at))
     clouds = [entity.cloud.transformed(np.eye(3), 1.0, entity.position) for entity in scene_objects]
-    background, light = background_and_light(loaded, photo, object_masks, clouds, camera, guesses)
+    background, light = background_and_light(loaded, photo, mask_images, clouds, camera, guesses)
     scene_objects, rendered = _first_frame(
-        loaded, photo, object_masks, scene_objects, clouds, camera, background
+        loaded, photo, mask_images, scene_objects, clouds, camera, background
     )
     _add_objects(folder, photo, loaded, masks, scene_objects, guesses)
     folder.picture("background.png", background)
-    folder.picture("check.png", preview.comparison_image(photo.rgb, rendered, object_masks))
+    folder.picture("check.png", preview.comparison_image(photo.rgb, rendered, mask_images))
     render_text = scene_writer.render(
         view, eye_at - domain.low, "background.png", render_keys(light), requested.shadows
     )
@@ -105,7 +105,7 @@ def photo_to_scene(
     folder.text_file(layout_path, layout_text.insert_guesses(loaded.source.text, guesses))
     folder.write()
     _validate_scene(out)
-    return _agreement(names, rendered, photo.rgb, object_masks)
+    return _agreement(names, rendered, photo.rgb, mask_images)
 
 
 def propose(photo_path: Path, layout_path: Path | None, out: Path) -> Path:
@@ -127,7 +127,9 @@ def propose(photo_path: Path, layout_path: Path | None, out: Path) -> Path:
     """
     photo = photograph.read(photo_path)
     path = layout_path if layout_path is not None else out / "layout.toml"
-    empty, source = layouts.read_empty(path) if path.exists() else (layouts.Empty(), None)
+    empty, source = (
+        layout_config.read_empty(path) if path.exists() else (layout_config.Empty(), None)
+    )
     folder = Folder(out, overwrite=True)
     boxes = learned_models.proposer(empty, source.folder if source else path.parent)(photo.rgb)
     if not boxes:
@@ -145,7 +147,7 @@ def _add_objects(
     folder: Folder,
     photo: Photograph,
     loaded: LoadedLayout,
-    masks: list[found.ObjectMask],
+    masks: list[object_masks.ObjectMask],
     scene_objects: list[scene_writer.SceneObject],
     guesses: list[Guess],
 ) -> None:
@@ -163,7 +165,7 @@ def _add_objects(
 def _first_frame(
     loaded: LoadedLayout,
     photo: Photograph,
-    object_masks: list[np.ndarray],
+    mask_images: list[np.ndarray],
     scene_objects: list[scene_writer.SceneObject],
     clouds: list[GaussianCloud],
     camera: Camera,
@@ -175,7 +177,7 @@ def _first_frame(
     """
     own_masks = [
         mask if body_sources.is_from_mask(obj, loaded) else None
-        for obj, mask in zip(loaded.layout.object, object_masks)
+        for obj, mask in zip(loaded.layout.object, mask_images)
     ]
     clouds = correct_colors(clouds, own_masks, camera, photo.rgb, background)
     corrected = [
@@ -201,7 +203,7 @@ def _placed(
 
 def _apply_depth(
     loaded: LoadedLayout, photo: Photograph, view: View, unplaced: list[UnplacedObject],
-    masks: list[found.ObjectMask], learned: Models, guesses: list[Guess],
+    masks: list[object_masks.ObjectMask], learned: Models, guesses: list[Guess],
 ) -> tuple[list[UnplacedObject], float | None]:  # fmt: skip
     """Raise objects that a depth model sees in the air.
 
@@ -255,7 +257,7 @@ def _record_guesses(
         if obj.inside is not None:
             continue
         if obj.support is None and not lifted:
-            guesses.append((("object", k, "support"), layouts.FLOOR, "guessed: it stands"))
+            guesses.append((("object", k, "support"), layout_config.FLOOR, "guessed: it stands"))
         if obj.height is None:
             guesses.append(
                 (("object", k, "height"), _five_digits(high[2] - low[2]), "m, as it is seen")
@@ -268,7 +270,7 @@ def _record_guesses(
 def _materials(
     loaded: LoadedLayout,
     photo: Photograph,
-    masks: list[found.ObjectMask],
+    masks: list[object_masks.ObjectMask],
     learned: Models,
     guesses: list[Guess],
 ) -> list[str]:
@@ -297,7 +299,7 @@ def _materials(
 
 
 def _scene_object(
-    obj: layouts.ObjectTable, cloud: GaussianCloud, eye: np.ndarray, material: str
+    obj: layout_config.ObjectTable, cloud: GaussianCloud, eye: np.ndarray, material: str
 ) -> scene_writer.SceneObject:
     """Return the object of the scene, with its Gaussians about the middle of its base."""
     low, high = cloud.x.min(axis=0), cloud.x.max(axis=0)

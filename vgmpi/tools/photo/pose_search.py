@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vgmpi.gaussians import spherical_harmonics as harmonics
+from vgmpi.gaussians import spherical_harmonics
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.postprocess.raster import rasterize
 from vgmpi.preprocess.placement import UP, axis_rotation
@@ -170,7 +170,7 @@ def _score(trial: Trial, up: str, yaw: float) -> Pose:
     cloud = upright.transformed(np.eye(3), float(placed[3]), placed[:3])
     camera = trial.view.camera(np.zeros(3), near_plane=0.02)
     splats = rasterize.ProjectableGaussians(
-        cloud.x, cloud.cov(), cloud.opacity, harmonics.evaluate(cloud.sh, cloud.x)
+        cloud.x, cloud.cov(), cloud.opacity, spherical_harmonics.evaluate(cloud.sh, cloud.x)
     )
     drawn, transmittance = rasterize.render(splats, camera, np.zeros(3))
     outline = transmittance < 0.5

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import ndimage
 
-from vgmpi.gaussians import spherical_harmonics as harmonics
+from vgmpi.gaussians import spherical_harmonics
 from vgmpi.gaussians.camera import Camera
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.postprocess.raster import rasterize
@@ -36,7 +36,7 @@ def depth(clouds: list[GaussianCloud], camera: Camera) -> np.ndarray:
 
 def _splats(clouds: list[GaussianCloud], camera: Camera) -> rasterize.ProjectableGaussians:
     """Return the Gaussians of all clouds, with their linear colors."""
-    color = [harmonics.evaluate(cloud.sh, cloud.x - camera.eye) for cloud in clouds]
+    color = [spherical_harmonics.evaluate(cloud.sh, cloud.x - camera.eye) for cloud in clouds]
     return rasterize.ProjectableGaussians(
         np.concatenate([cloud.x for cloud in clouds]),
         np.concatenate([cloud.cov() for cloud in clouds]),

@@ -40,7 +40,7 @@ class RunOutcome:
         return float(self.run.scene["material"][material]["density"]) if material else 0.0
 
     @functools.cache  # noqa: B019  every other run needs that of the finest one
-    def spread(self, frame: int, along: int = BOXES) -> np.ndarray:
+    def mass_in_boxes(self, frame: int, along: int = BOXES) -> np.ndarray:
         """Return the mass [kg] of each body in each box of a lattice, shape (bodies, boxes).
 
         The distribution is linear in position, so that no mass jumps between boxes. along: boxes
@@ -62,7 +62,7 @@ class RunOutcome:
         return total.reshape(-1, boxes)
 
     @functools.cached_property
-    def whole(self) -> np.ndarray:
+    def body_masses(self) -> np.ndarray:
         """Return the mass [kg] of each body including later inflow, shape (bodies,)."""
         return np.bincount(self._of, self._mass)
 
@@ -93,7 +93,7 @@ def mass_displacement(run: RunOutcome, reference: RunOutcome) -> float:
     """
     fractions = []
     for k in range(1, min(len(run.times), len(reference.times))):
-        a, b = run.spread(k), reference.spread(k)
+        a, b = run.mass_in_boxes(k), reference.mass_in_boxes(k)
         fractions.append(0.5 * np.abs(a - b).sum() / max(b.sum(), 1e-300))
     return float(np.mean(fractions)) if fractions else 0.0
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from math import gcd
 
-from vgmpi.planning.cost.tradeoff_results import BASELINE as BASELINE_NAME
+from vgmpi.planning.cost import tradeoff_results
 from vgmpi.scene.scene import Scene
 
 REFINEMENT = 2**0.5  # [-] refinement factor of the cells from one run to the next
@@ -29,7 +29,9 @@ class Setting:
     @property
     def name(self) -> str:
         """Return the name of the run's folder."""
-        return "_".join(f"{knob}-{value}" for knob, value in self.knobs) or BASELINE_NAME
+        return (
+            "_".join(f"{knob}-{value}" for knob, value in self.knobs) or tradeoff_results.BASELINE
+        )
 
     @property
     def of_grid(self) -> bool:

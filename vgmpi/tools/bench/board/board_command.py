@@ -36,7 +36,12 @@ def flags(parser: argparse.ArgumentParser) -> None:
         " rivals in the output folder")  # fmt: skip
     say("-o", "--output", type=Path, default=Path("board"), metavar="FOLDER",
         help="folder of results and of the board as .md, .csv, .png; default: board")  # fmt: skip
-    say("--again", action="store_true", help="measure runs again whose results are there")
+    say(
+        "--again",
+        dest="repeats",
+        action="store_true",
+        help="measure runs again whose results are there",
+    )
 
 
 def install_rivals(environment: Path) -> None:
@@ -99,7 +104,7 @@ def run_board(args: argparse.Namespace) -> int:
     for case in args.only or RUNS:
         for words in RUNS[case]:
             key = (case, *words)
-            if words[0] not in solvers or (key in results and not args.again):
+            if words[0] not in solvers or (key in results and not args.repeats):
                 continue
             print_progress(f"{case}: {' '.join(words)}")
             start = time.monotonic()

@@ -214,7 +214,9 @@ class DenoisingTarget(Target):
     def _draws(self, shape: tuple[int, ...]) -> Iterator[score_distillation.NoiseSample]:
         """Yield the noise samples, the same ones for every run."""
         for k, share in enumerate(
-            score_distillation.shares(self.options.noise_levels, self.options.noise_samples)
+            score_distillation.stratified_levels(
+                self.options.noise_levels, self.options.noise_samples
+            )
         ):
             level = self.kind.level(share)
             yield score_distillation.draw(

@@ -39,7 +39,7 @@ class NoiseSample:
     eps: Any
 
 
-def shares(times: tuple[float, float], draws: int) -> list[float]:
+def stratified_levels(times: tuple[float, float], draws: int) -> list[float]:
     """Return the noise levels of the draws: centers of equal parts of the range."""
     low, high = times
     return [low + (high - low) * (k + 0.5) / draws for k in range(draws)]

@@ -15,8 +15,7 @@ from pydantic import Field, ValidationError
 from vgmpi.runtime.config.schema import StrictModel, format_validation_errors
 from vgmpi.runtime.user_files import replace_file
 
-from .. import box_proposals, grabcut, layout_text, learned_models, object_masks
-from .. import layout_config as layouts
+from .. import box_proposals, grabcut, layout_config, layout_text, learned_models, object_masks
 from ..grabcut import Box, MaskError
 from ..layout_config import LayoutError, ObjectTable
 from ..photograph import Photograph
@@ -55,7 +54,7 @@ class EditedObject(StrictModel):
 class EditedLayout(StrictModel):
     """All objects of the page."""
 
-    objects: Annotated[tuple[EditedObject, ...], Field(max_length=layouts.MAX_OBJECTS)]
+    objects: Annotated[tuple[EditedObject, ...], Field(max_length=layout_config.MAX_OBJECTS)]
 
 
 class EditSession:
@@ -76,7 +75,7 @@ class EditSession:
         self._file_masks: dict[str, np.ndarray] = {}
         self._in_file: dict[str, EditedObject] = {}  # states of the objects in the file
         self._salient: list[Box] | None = None
-        empty, self._text, tables = layouts.read_unfinished(path)
+        empty, self._text, tables = layout_config.read_unfinished(path)
         self._finder = learned_models.finder(empty, path.parent)
         self.objects = [self._read_object(k, table) for k, table in enumerate(tables)]
 
@@ -185,7 +184,7 @@ class EditSession:
         replace_file(self.path, self._text)
         self._in_file, numbers = states, self._table_numbers
         written = [item.key for item in edited.objects]
-        written.sort(key=lambda key: numbers.get(key, len(numbers) + layouts.MAX_OBJECTS))
+        written.sort(key=lambda key: numbers.get(key, len(numbers) + layout_config.MAX_OBJECTS))
         self._table_numbers = {key: k for k, key in enumerate(written)}
         return [*files, self.path]
 
