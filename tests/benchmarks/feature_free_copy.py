@@ -102,9 +102,8 @@ ANSWERS: dict[str, dict[str, str]] = {
         "check_object": KEPT,
         "prepare_features": KEPT,
     },
-    "vgmpi.kernels.rigid.shell_sampling": {},
-    "vgmpi.planning.back_sides": {"with_back_sides": "return groups, phases, None"},
-    "vgmpi.features.thin_walls.coupling": {"start": "return None"},
+    "vgmpi.features.thin_walls.kernels": {},
+    "vgmpi.features.thin_walls.coupling": {},
     "vgmpi.features.surface_slip.coupling": {},
 }
 PLAIN = """

@@ -8,11 +8,11 @@ import pytest
 from tests.preprocess.test_mesh_topology import write
 from tests.preprocess.test_surface_mesh import cube
 from tests.support.simulate import advance, begin, by_id
-from vgmpi.kernels.rigid.shell_sampling import EDGE
+from vgmpi.features.thin_walls.kernels import EDGE
+from vgmpi.features.thin_walls.shells import thin_shell
 from vgmpi.preprocess import sheet_collider
 from vgmpi.preprocess.meshes.triangle_mesh import Mesh
 from vgmpi.preprocess.sheet_collider import SheetCollider
-from vgmpi.preprocess.thin_shell import thin_shell
 
 DX = 0.02
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from vgmpi.preprocess import thin_shell as module
-from vgmpi.preprocess.thin_shell import thin_shell
+from vgmpi.features.thin_walls import shells as module
+from vgmpi.features.thin_walls.shells import thin_shell
 
 DX = 0.01
 DOMAIN = np.zeros(3), np.array([16.0, 4.0, 12.0]) * DX

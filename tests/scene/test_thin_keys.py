@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial import cKDTree
 
 import vgmpi
+from vgmpi.features.thin_walls.shells import with_shell
 from vgmpi.planning.cost.plan_report import format_plan
-from vgmpi.preprocess.collider_sdf import with_shell
 from vgmpi.preprocess.placement import PlacementError
 from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.runtime.config.schema import SceneError
@@ -123,7 +123,7 @@ def test_a_wall_without_two_sides_is_refused():
     with pytest.raises(
         PlacementError, match="has no two sides: a thin wall may not twist"
     ) as error:
-        with_shell(MoebiusStrip(), True, 0.01, (1.0, 1.0, 1.0))
+        with_shell(MoebiusStrip(), 0.01, (1.0, 1.0, 1.0))
     assert error.value.key == "thin"
 
 

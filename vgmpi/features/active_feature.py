@@ -162,6 +162,22 @@ class ActiveFeature:
 
     # ---- a step ----------------------------------------------------------------------------------
 
+    def divide_phases(self, phases: Any) -> Any:
+        """Return the constants of the phases with the nodes that it divides between them now.
+
+        Args:
+            phases: A kernels/grid/divided_nodes.py `Phases`.
+        """
+        return phases
+
+    def divide_dense_nodes(self, dense: Any) -> Any:
+        """Return how it divides the nodes of the reference engine between phases, or None.
+
+        Args:
+            dense: Nodes of the domain, a numpy_reference/dense_grid.py `Dense`.
+        """
+        return None
+
     def limit_rate(self, time: float, rate: float) -> float:
         """Return 1 / dt [1/s], at least `rate`, of the longest step that it allows at a time."""
         return rate

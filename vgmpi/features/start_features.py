@@ -18,7 +18,7 @@ STARTS: dict[str, tuple[str, str] | None] = {
     "inlets": ("inlets_outlets.coupling", "start_inlets"),
     "outlets": ("inlets_outlets.coupling", "start_outlets"),
     "releases": ("releases.coupling", "start"),
-    "thin_walls": ("thin_walls.coupling", "start"),
+    "thin_walls": None,
 }
 
 

@@ -46,6 +46,8 @@ class FeaturePlan:
         counted: What reports count where there are no particles: number, singular, plural.
         has_momentum: Whether momentum and energy of its own are in the conservation log.
         step_limit: What makes steps shorter than at the start, for reports, or "".
+        added_phases: Number of phases, the last ones, that are no bodies' own.
+        step_seconds: Processor time [s] of a step besides that of its particles.
         uncounted_groups: Groups whose momentum and energy something else counts.
         drives_motion: Whether bodies reach speeds that gravity alone does not give them.
     """
@@ -58,7 +60,8 @@ class FeaturePlan:
     reads_all_nodes = False
     phases_in_contact: frozenset[int] = frozenset()
     adhesion: Adhesion | None = None
-    moved_colliders = 0
+    moved_colliders = added_phases = 0
+    step_seconds = 0.0
     collider_title = step_limit = ""
     counted = 0, "", ""
     uncounted_groups: frozenset[int] = frozenset()
@@ -108,6 +111,15 @@ class FeaturePlan:
     def released_parts(self) -> list[PrescribedBodyPlan]:
         """Return the parts that join another group at a time."""
         return []
+
+    def may_hold(self, group: int, usual: np.ndarray) -> np.ndarray:
+        """Return which particles may have come to a group because of the feature, (n,) bool.
+
+        Args:
+            group: Number of the group.
+            usual: Groups in which the particles begin, shape (n,).
+        """
+        return np.zeros(len(usual), bool)
 
     def reaction_bodies(self) -> list[tuple[int, tuple[float, ...]]]:
         """Return (object, reference point [m]) of each body whose reactions it sums."""

@@ -20,7 +20,6 @@ from vgmpi.scene.keyframes import mean_ramp_factor
 from vgmpi.scene.scene import Scene
 from vgmpi.scene.sections import Accuracy
 
-from .back_sides import WallSidesPlan, with_back_sides
 from .color_exchange import ColorExchange, color_exchange
 from .correction_intervals import correction_interval, shift_interval
 from .feature_plan import FeaturePlan, PlanDraft, plan_features
@@ -117,7 +116,6 @@ class Plan:
     features: tuple[FeaturePlan, ...] = ()  # optional features, in the order in which they act
     opens: tuple[float | None, ...] = (None,) * 6  # [s] when each wall vanishes
     feels: bool = False  # reaction impulses of each collider and wall are summed
-    sides: WallSidesPlan | None = None  # of thin walls
     holding_walls: tuple[str, ...] = ()  # slip walls that also hold back the bodies on them
     regions: tuple[RegionPlan, ...] = ()  # parts of bodies of another material, if known
 
@@ -139,8 +137,8 @@ class Plan:
 
     @property
     def phases_of_bodies(self) -> int:
-        """Number of phases, without those on the back side of thin walls, which come last."""
-        return len(self.phases) if self.sides is None else self.sides.side.index(-1)
+        """Number of phases that are bodies' own; those that features add come last."""
+        return len(self.phases) - sum(feature.added_phases for feature in self.features)
 
     @property
     def is_open_system(self) -> bool:
@@ -276,17 +274,16 @@ def make_plan(
     driven, groups, group_of = prescribed_body_plans(
         scene, complete, group_of, phases, extents or {}
     )
+    phases = with_soft_bodies(scene, phases, groups, volume, center)
     draft = PlanDraft(scene, phases, groups, group_of, count)
     features, (_, phases, groups, group_of, _) = plan_features(draft, prepared or {})
-    phases = with_soft_bodies(scene, phases, groups, volume, center)
-    groups, phases, sides = with_back_sides(scene, groups, phases)
     plan = Plan(
         cells=scene.domain.cells, dx=scene.domain.cell, real=real, gravity=scene.domain.gravity,
         walls=tuple(scene.domain.walls), walls_of_solids=tuple(scene.walls_of_solids),
         phases=phases, groups=groups, group_of=group_of, count=tuple(int(n) for n in count),
         first_id=tuple(int(n) for n in np.concatenate([[0], np.cumsum(count)[:-1]])),
         friction=_friction_table(scene, groups, len(phases)),
-        sides=sides, collider=collider,
+        collider=collider,
         stiff=_wave_moduli(groups, len(phases)), contact=len(phases) > 1,
         times=np.linspace(0.0, scene.time.end, scene.time.frames),
         cfl=scene.courant_number, fixed_dt=scene.time.dt, rate=_rate(scene, groups, sharing),

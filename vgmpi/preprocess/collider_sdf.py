@@ -7,13 +7,12 @@ import numpy as np
 import scipy
 
 from vgmpi.gaussians import shape_distance
-from vgmpi.kernels.rigid.shell_sampling import ShellLattice
 from vgmpi.preprocess.sampling.voxels import Voxels
 from vgmpi.scene.rigid_motion import Motion, Trajectory
 from vgmpi.scene.shapes import Shape
 
 from . import shape_sdf
-from .placement import PlacementError, SimilarityTransform, corners, rotate
+from .placement import SimilarityTransform, corners, rotate
 from .sheet_collider import SheetCollider
 
 FAR_DISTANCE = 1e6  # [own units] half the edge of a box that contains everything
@@ -35,7 +34,7 @@ class ShapeCollider:
     course: Trajectory | None = None  # its motion; distances are those at the start
     body: Any = None  # its state at the start if a feature moves it
     hull: Shape | None = None
-    shell: ShellLattice | None = None  # its two sides if it is a thin wall
+    detail: Any = None  # what a feature has found of its faces, see `MovingColliders`
 
     def ends(self) -> tuple[np.ndarray, np.ndarray]:
         """Return lower and upper corner (3,) [m] of a box that contains it."""
@@ -55,7 +54,7 @@ class ShapeCollider:
             size: Size of the domain, shape (3,) [m].
             dx: Cell size [m].
         """
-        if self.shape.difference is None or self.shell is not None or not len(x):
+        if self.shape.difference is None or self.detail is not None or not len(x):
             return self
         solid, *hollows = self.shape.difference
         low, high = self.ends()
@@ -103,7 +102,7 @@ class VoxelCollider:
     values: np.ndarray
     course: Trajectory | None = None
     body: Any = None
-    shell: ShellLattice | None = None
+    detail: Any = None
 
     def ends(self) -> tuple[np.ndarray, np.ndarray]:
         """Return lower and upper corner (3,) [m] of a box that contains it."""
@@ -165,33 +164,3 @@ def with_motion(collider: Collider | None, motion: Motion | None) -> Collider | 
     low, high = collider.ends()
     x, y, z = (float(m) for m in (low + high) / 2)
     return replace(collider, course=Trajectory(motion, motion.pivot or (x, y, z)))
-
-
-def with_shell(
-    collider: Collider | None, thin: bool, dx: float, size: tuple[float, float, float]
-) -> Collider | None:
-    """Return the collider with its two sides, if it is a thin wall.
-
-    Args:
-        collider: Collider, or None.
-        thin: Whether it is a thin wall.
-        dx: Cell size [m].
-        size: Edges of the domain [m].
-
-    Raises:
-        PlacementError: Its walls have no two sides.
-    """
-    if collider is None or not thin:
-        return collider
-    try:
-        from .thin_shell import thin_shell  # it imports scipy: only scenes with thin walls wait
-
-        is_at_rest = collider.course is None and collider.body is None
-        domain = (np.zeros(3), np.array(size)) if is_at_rest else None
-        shell = thin_shell(collider, dx, domain)
-    except ValueError as error:
-        raise PlacementError("thin", str(error)) from None
-    if shell is None:
-        message = "is not needed: nowhere are two faces up to three cells apart"
-        raise PlacementError("thin", message)
-    return replace(collider, shell=shell)

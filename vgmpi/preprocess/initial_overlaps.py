@@ -19,7 +19,6 @@ from .placement import PlacementError
 log = logging.getLogger("vgmpi")
 
 MIN_DEPTH_CELLS = 0.2  # [cells] depth of a particle in a collider from which an overlap is told
-MIN_DEPTH_THIN_CELLS = 0.05  # [cells] the same for thin walls
 MIN_SHARED_FRACTION = 0.02  # [-] of the smaller body from which an overlap of two bodies is told
 MAX_LINES = 8  # overlaps with colliders that have a line each
 _MAX_POINTS = 500_000  # points that are evaluated together
@@ -109,7 +108,8 @@ def _inside_colliders(scene: Scene, pieces: list[BuiltObject]) -> list[str]:
             if solid is None:
                 continue
             depth = _depths(solid, pieces[k].cloud.x)
-            min_depth = MIN_DEPTH_CELLS if solid.shell is None else MIN_DEPTH_THIN_CELLS
+            detail = solid.detail
+            min_depth = MIN_DEPTH_CELLS if detail is None else detail.min_overlap_cells
             if depth.max(initial=0.0) > min_depth * scene.domain.cell:
                 overlaps.append((other.name, _amount(pieces[k], depth > 0.0)))
         remedy = _remedy(scene, obj, [name for name, _ in overlaps])

@@ -11,6 +11,7 @@ from vgmpi.planning.prescribed_bodies import course_of
 from vgmpi.scene.objects import Object
 from vgmpi.scene.rigid_motion import SPEED_SAMPLES, Trajectories
 from vgmpi.scene.scene import Scene
+from vgmpi.scene.scene_feature import hint
 
 from .collider_sdf import Collider
 
@@ -32,7 +33,7 @@ def validate_collider_motion(scene: Scene, collider: Collider | None) -> list[tu
     if collider is None:
         return []
     if (
-        collider.body is None and collider.shell is None
+        collider.body is None and collider.detail is None
     ):  # free bodies have a line of their own in the plan
         _warn_if_thin(collider, scene.domain.cell)
     if collider.course is None:
@@ -181,8 +182,8 @@ def _warn_if_thin(collider: Collider, dx: float) -> None:
     if is_thin(thickness, dx):
         log.warning(
             "collider '%s' is %.2g cells thick where it is thickest: below %g what it keeps apart"
-            " may pass, unless object.thin = true", collider.name, thickness / dx,
-            MIN_THICKNESS_CELLS,
+            " may pass%s", collider.name, thickness / dx, MIN_THICKNESS_CELLS,
+            hint("thin collider"),
         )  # fmt: skip
 
 

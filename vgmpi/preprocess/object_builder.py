@@ -16,8 +16,6 @@ from vgmpi.gaussians.shape_evolution import FAMILIES_DRAWN_AS_SPHERES
 from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
 from vgmpi.preprocess.meshes import point_in_mesh
 from vgmpi.preprocess.meshes import surface_mesh as mesh
-from vgmpi.preprocess.meshes.mesh_topology import analyze_mesh, describe_turned_shells, oriented
-from vgmpi.preprocess.meshes.triangle_mesh import Mesh
 from vgmpi.preprocess.pruning import prune
 from vgmpi.preprocess.sampling import interior_fill
 from vgmpi.preprocess.sampling.voxels import (
@@ -47,7 +45,7 @@ from .placement import (
     upright,
 )
 from .point_files import PointFileError, read_points
-from .sheet_collider import SheetCollider
+from .sheet_collider import SheetCollider, examine_mesh
 
 log = logging.getLogger("vgmpi")
 
@@ -162,7 +160,7 @@ def _from_mesh(scene: Scene, k: int, obj: Object) -> BuiltObject:
     filled = obj.role == "body" or obj.collider
     is_sheet = False
     if filled:
-        placed, is_sheet = _examined(obj, placed)
+        placed, is_sheet = examine_mesh(obj, placed)
 
     def search(h: float) -> tuple:
         """Return the arguments of a lattice search at spacing h [m]."""
@@ -190,26 +188,6 @@ def _from_mesh(scene: Scene, k: int, obj: Object) -> BuiltObject:
         inner, np.ones(len(inner), dtype=bool), np.empty((0, 3))
     )
     return _solid(scene, k, surface, missing, transform, shape_sdf.lattice_chunks(*search(fine)))
-
-
-def _examined(obj: Object, placed: Mesh) -> tuple[Mesh, bool]:
-    """Return a mesh whose shells face outward, and whether it is a collider of thin sheets.
-
-    What is unusual about it is logged, in one line each.
-    """
-    topology = analyze_mesh(placed)
-    turned = describe_turned_shells(topology)
-    if turned:
-        log.info("'%s': %s", obj.name, turned)
-    is_sheet = bool(obj.thin) and topology.is_open
-    if topology.is_open:
-        meaning = "it counts as filled up to its holes"
-        if obj.role == "scenery":
-            meaning = "it counts as a solid block up to its holes; thin = true makes it a wall"
-            if is_sheet:
-                meaning = "it counts as a wall half a cell thick"
-        log.info("'%s': its mesh is %s; %s", obj.name, topology.describe_opening(" m"), meaning)
-    return oriented(placed, topology), is_sheet
 
 
 def _from_gaussians(scene: Scene, k: int, obj: Object) -> BuiltObject:

@@ -28,7 +28,7 @@ from .body_regions import (
     validate_region_particles,
 )
 from .built_object import BuiltObject, bind_passive, with_surface_descriptor
-from .collider_sdf import Collider, ShapeCollider, with_motion, with_shell
+from .collider_sdf import Collider, ShapeCollider, with_motion
 from .initial_conditions import apply_initial_conditions, initial_velocity
 from .initial_overlaps import subtract_objects, warn_of_overlaps
 from .motion_checks import (
@@ -173,8 +173,8 @@ def _build(scene: Scene, k: int) -> BuiltObject:
     cell, size = scene.domain.cell, scene.domain.size
     collider = with_motion(piece.collider, obj.motion)
     for feature in features() if collider is not None else ():
-        collider = feature.complete_collider(obj, collider, cell)
-    return replace(piece, collider=with_shell(collider, obj.thin, cell, size))
+        collider = feature.complete_collider(obj, collider, cell, size)
+    return replace(piece, collider=collider)
 
 
 def _complete(

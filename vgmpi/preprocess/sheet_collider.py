@@ -1,5 +1,6 @@
 """Collider of an open mesh: its faces are walls of half a cell, solid between both sides."""
 
+import logging
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -7,9 +8,13 @@ from typing import Any
 import numpy as np
 import scipy
 
-from vgmpi.kernels.rigid.shell_sampling import ShellLattice
+from vgmpi.preprocess.meshes.mesh_topology import analyze_mesh, describe_turned_shells, oriented
+from vgmpi.preprocess.meshes.triangle_mesh import Mesh
+from vgmpi.scene.objects import Object
 from vgmpi.scene.rigid_motion import Trajectory
+from vgmpi.scene.scene_feature import features, hint
 
+log = logging.getLogger("vgmpi")
 SHEET_CELLS = 0.5  # [cells] thickness: that as which thinner walls act anyway
 # [cells] longest edge of the pieces among which the closest face is sought, and for far points
 _PIECE_CELLS, _FAR_PIECE_CELLS = 0.25, 1.0
@@ -30,8 +35,8 @@ class SheetCollider:
     corner: np.ndarray
     thickness: float
     course: Trajectory | None = None  # its motion; distances are those at the start
-    body: Any = None
-    shell: ShellLattice | None = None
+    body: Any = None  # its state at the start if a feature moves it
+    detail: Any = None  # what a feature has found of its faces, see `MovingColliders`
 
     @classmethod
     def from_triangles(cls, name: str, corner: np.ndarray, dx: float) -> "SheetCollider":
@@ -141,3 +146,23 @@ def closest_points(corner: np.ndarray, x: np.ndarray) -> np.ndarray:
         nearer = away < square
         best[nearer], square[nearer] = on_edge[nearer], away[nearer]
     return np.where(is_inside[:, None], foot, best)
+
+
+def examine_mesh(obj: Object, placed: Mesh) -> tuple[Mesh, bool]:
+    """Return a mesh whose shells face outward, and whether it is a collider of thin sheets.
+
+    What is unusual about it is logged, in one line each.
+    """
+    topology = analyze_mesh(placed)
+    turned = describe_turned_shells(topology)
+    if turned:
+        log.info("'%s': %s", obj.name, turned)
+    is_sheet = topology.is_open and any(each.takes_open_mesh(obj) for each in features())
+    if topology.is_open:
+        meaning = "it counts as filled up to its holes"
+        if obj.role == "scenery":
+            meaning = "it counts as a solid block up to its holes" + hint("open mesh")
+            if is_sheet:
+                meaning = "it counts as a wall half a cell thick"
+        log.info("'%s': its mesh is %s; %s", obj.name, topology.describe_opening(" m"), meaning)
+    return oriented(placed, topology), is_sheet

@@ -36,11 +36,10 @@ from .scene_feature import (
 )
 from .sections import Appearance, Domain, Output, TopLevelKeys, validate_cell_counts
 from .subtraction import validate_subtractions
-from .thin_walls import validate_thin_scene
 
 REQUIRED = ("domain", "time", "material", "object")
 SCENE_RULES = (
-    validate_rigid_scene, validate_region_kinds, validate_thin_scene,
+    validate_rigid_scene, validate_region_kinds,
     validate_subtractions,
 )  # fmt: skip
 LISTS = ("object", "coupling", "joint", "probe", "inlet", "outlet")

@@ -29,7 +29,6 @@ from .rigid_motion import Motion, validate_motion
 from .rigid_objects import FreeBody, validate_rigid
 from .shapes import Axis, Shape, validate_shape
 from .subtraction import Subtraction
-from .thin_walls import validate_thin
 
 SOURCES = ("gaussians", "mesh", "shape", "points")
 SIZES = ("height", "width", "depth", "scale")
@@ -243,10 +242,6 @@ class Object(StrictModel):
     friction: Annotated[float, Quantity("", ge=0)] | None = None
     """colliders only: Coulomb friction coefficient of all bodies on it. Default: that of each
     body's material"""
-    thin: Switch = False
-    """colliders only: a shell, up to three cells thick, both sides of which may be wet, such as a
-    cup or a plate. What is on one side neither passes to the other nor feels it. Walls thinner than
-    half a cell act as half a cell thick, and so do the faces of an open mesh"""
     rigid: Switch = False
     """bodies of solids only: a free rigid body. It does not deform, moves by its momentum, and has
     no particles. Density and friction are those of its material"""
@@ -368,7 +363,6 @@ def validate_object(raw: dict) -> list[tuple[tuple, str]]:
     excluded = {path for path, _ in rigid}  # each key has one line
     errors = [error for error in errors if error[0] not in excluded] + rigid
     errors += [error for error in validate_regions(raw) if error[0] not in excluded]
-    errors += validate_thin(raw, scenery)
     errors += validate_points(raw, scenery)
     return errors + ([] if scenery else _validate_prescribed(raw))
 

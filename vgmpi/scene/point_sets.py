@@ -10,7 +10,7 @@ from vgmpi.runtime.config.schema import Positive, StrictModel
 
 SUFFIXES = (".ply", ".npz", ".vtp")  # of files of points
 ARRAYS = ("positions", "volumes", "colors", "velocities")
-KEYS_OF_SURFACES = ("collider", "thin", "prune", "rigid")  # of objects whose surface is known
+KEYS_OF_SURFACES = ("collider", "prune", "rigid")  # of objects whose surface is known
 
 
 def _numbers(value: Any, *row: int) -> np.ndarray:

@@ -21,7 +21,9 @@ from .objects import Object
 from .sections import SECTIONS
 
 # In the order in which they act and plan. It numbers groups and orders sums: part of the results.
-FEATURES = ("loads", "implicit_pressure", "surface_slip", "pinned_parts", "rigid_bodies")
+FEATURES = (
+    "loads", "implicit_pressure", "surface_slip", "pinned_parts", "rigid_bodies", "thin_walls",
+)  # fmt: skip
 
 Errors = list[tuple[tuple, str]]  # (path of a key, message)
 
@@ -77,6 +79,7 @@ class SceneFeature:
         lists: Lists of tables that it adds at the top, by name.
         missing_engines: Engines that cannot run it.
         pushes_alone: Whether it does no more than to push particles before a step.
+        hints: What messages add on the help that it gives, by problem: "open mesh".
     """
 
     name = title = force_source = ""
@@ -87,6 +90,7 @@ class SceneFeature:
     lists: Mapping[str, TableList] = {}
     missing_engines: tuple[str, ...] = ()
     pushes_alone = False
+    hints: Mapping[str, str] = {}
 
     def keys_of(self, obj: Object) -> list[str]:
         """Return those of its keys that an object has set."""
@@ -169,13 +173,20 @@ class SceneFeature:
         """
         return []
 
-    def complete_collider(self, obj: Object, collider: Any, dx: float) -> Any:
+    def takes_open_mesh(self, obj: Object) -> bool:
+        """Return whether an open mesh of an object is a wall instead of the bound of a solid."""
+        return False
+
+    def complete_collider(
+        self, obj: Object, collider: Any, dx: float, size: tuple[float, float, float]
+    ) -> Any:
         """Return the collider of an object with what the feature adds to it.
 
         Args:
             obj: The object.
             collider: Its collider.
             dx: Cell size [m].
+            size: Edges of the domain [m].
         """
         return collider
 
@@ -229,6 +240,11 @@ class SceneFeature:
 def features() -> tuple[SceneFeature, ...]:
     """Return the features in the order in which they act."""
     return tuple(import_module(f"vgmpi.features.{name}.feature").FEATURE for name in FEATURES)
+
+
+def hint(problem: str) -> str:
+    """Return what features add to the message of a problem; see `SceneFeature.hints`."""
+    return "".join(feature.hints.get(problem, "") for feature in features())
 
 
 def feature_folders() -> list[str]:

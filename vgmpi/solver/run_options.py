@@ -34,7 +34,6 @@ class Options:
 LACKS = {
     CARD: {
         "rigid": "free rigid bodies", "joint": "joints",
-        "thin": "thin walls",
     },
 }  # fmt: skip
 MAX_THREADS_PER_CORE, MIN_THREAD_LIMIT = 4, 32  # more would take memory for nothing
@@ -73,8 +72,7 @@ def check_engine(engine: str, scene: Scene) -> None:
     lacks, first = LACKS.get(engine, {}), dict[str, str]()
     paths: list[tuple] = [("joint", k) for k in range(len(scene.joint))]
     for k, obj in enumerate(scene.object):
-        has = {"rigid": obj.rigid, "thin": obj.thin}
-        paths += [("object", k, key) for key, value in has.items() if value]
+        paths += [("object", k, "rigid")] * bool(obj.rigid)
     for path in paths:
         name = "joint" if path[0] == "joint" else path[-1]
         if name in lacks:

@@ -32,11 +32,13 @@ class RigidBodies(SceneFeature):
         message = f"is {length:.4g} m long; at most {limit:.4g} m are possible in this domain"
         return [(("rigid",), message)]
 
-    def complete_collider(self, obj: Any, collider: Any, dx: float) -> Any:
+    def complete_collider(
+        self, obj: Any, collider: Any, dx: float, size: tuple[float, float, float]
+    ) -> Any:
         """Return the collider of a body with its mass and its velocity.
 
         Args:
-            obj, collider, dx: See `SceneFeature.complete_collider`.
+            obj, collider, dx, size: See `SceneFeature.complete_collider`.
         """
         if obj.free_body is None:
             return collider

@@ -13,16 +13,14 @@ import numpy as np
 from vgmpi.features.active_feature import ActiveFeature, StartContext
 from vgmpi.features.particle_insertion import remove_particles
 from vgmpi.kernels.colliders.moving_colliders import MovingColliders
-from vgmpi.kernels.rigid.shell_sampling import (
-    EDGE,
-    NEAR_EDGE,
-    SampledShells,
-    find_sides,
-)
+from vgmpi.kernels.grid.divided_nodes import Phases
 from vgmpi.kernels.step_records import StepMaxima, StepSpan
 from vgmpi.parallel.block_lattice import BLOCK_EDGE, position_limits
 from vgmpi.parallel.migration import append_particles
 from vgmpi.parallel.particle_group import ParticleGroup
+
+from .kernels import EDGE, NEAR_EDGE, SampledShells, SidedPhases, find_sides
+from .plan import ThinWallsPlan
 
 CHECK_INTERVAL = 4  # [steps] after which the sides of particles are compared with their places
 # [cells] depth on the other side of a wall beyond which a particle did not come through the wall
@@ -38,16 +36,37 @@ class ThinWalls(ActiveFeature):
     has_request = True
     margin = MAX_PUSH_CELLS
 
-    def __init__(self, context: StartContext):
-        """Take the groups that have two sides."""
-        plan = context.plan
-        assert plan.sides is not None
+    def __init__(self, own: ThinWallsPlan, context: StartContext):
+        """Take the groups that have two sides.
+
+        Args:
+            own: Plan of the walls.
+            context: What a feature may take when a run starts.
+        """
+        plan, self.plan = context.plan, own
         self.dx, self.cells = plan.dx, plan.cells
+        self.rows = np.array(own.side), np.array(own.twin)  # of the phases
         self.flow: Any = context.features.get("flow_accounting")
         self.movers: MovingColliders = context.movers
         self.groups = context.groups
-        self.twin = plan.sides.twin_group
-        self.side = [plan.sides.side[group.phase] for group in plan.groups]
+        self.twin = own.twin_group
+        self.side = [own.side[group.phase] for group in plan.groups]
+
+    def divide_phases(self, phases: Phases) -> SidedPhases:
+        """Return the constants of the phases with the walls where they are now."""
+        table = self.movers.table
+        assert isinstance(table, SampledShells)
+        return SidedPhases._make((*phases, *self.rows, self.movers.nodes, table.faces))
+
+    def divide_dense_nodes(self, dense: Any) -> Any:
+        """Return the sides of the walls on dense arrays.
+
+        Args:
+            dense: See `ActiveFeature.divide_dense_nodes`.
+        """
+        from .reference import WallSides
+
+        return WallSides(self.plan, self.movers, dense)
 
     def assign_groups(self, group_of: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Return the groups (n,) of new particles, given those on the front side of walls.
@@ -150,9 +169,3 @@ class ThinWalls(ActiveFeature):
             high = table.shell_start[m] + table.shell_shape[m] * table.spacing + reach
             out |= ((own > low) & (own < high)).all(1)
         return out
-
-
-def start(context: StartContext) -> ThinWalls | None:
-    """Return the thin walls of a run, or None if it has none."""
-    has_sides = context.plan.sides is not None and context.movers is not None
-    return ThinWalls(context) if has_sides else None

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from vgmpi.kernels.rigid.shell_sampling import SampledShells, with_shells
 from vgmpi.kernels.step_records import StepSpan
 from vgmpi.parallel.block_lattice import BLOCK_EDGE, BlockLattice
 from vgmpi.scene.rigid_motion import Trajectories
@@ -43,7 +42,8 @@ class MovingColliders:
 
         Args:
             colliders: Objects with distance(points) -> (m,) [m] and ends() -> corners, both at
-                rest, and `course`, None for a collider at rest.
+                rest, and `course`, None for a collider at rest. `detail` is what a feature has
+                found of its faces; its `extend_table` adds that to the sampled colliders.
             lattice: Lattice of the blocks.
             real: Floating-point type of nodal values.
             numbered: Store the number of the nearest collider.
@@ -52,8 +52,10 @@ class MovingColliders:
         self.dx, self.real, self.colliders = lattice.dx, real, colliders
         self.numbered = numbered
         self.table: SampledSdf = _sample_colliders(colliders, lattice.dx)
-        if any(getattr(collider, "shell", None) is not None for collider in colliders):
-            self.table = with_shells(self.table, colliders)
+        details = [getattr(collider, "detail", None) for collider in colliders]
+        for kind in dict.fromkeys(type(detail) for detail in details if detail is not None):
+            own = [detail if isinstance(detail, kind) else None for detail in details]
+            self.table = kind.extend_table(self.table, own)
         self.moving = [m for m, collider in enumerate(colliders) if collider.course is not None]
         self.courses = Trajectories([colliders[m].course for m in self.moving])
         self.free = free
@@ -105,8 +107,7 @@ class MovingColliders:
         self.nodes = np.zeros((len(blocks), 64, 4), self.real)
         self.moves = np.zeros((len(blocks), 64, 3), self.real)
         self.whose = np.zeros((len(blocks) * self.numbered, 64), np.int64)
-        if isinstance(self.table, SampledShells):
-            self.table = self.table._replace(faces=np.zeros((len(blocks), 64, 2, 4)))
+        self.table = self.table.with_blocks(len(blocks))
 
     def place(self, time: float) -> None:
         """Place the colliders where they are at a time [s]."""
@@ -163,7 +164,7 @@ def place_colliders(
 ) -> tuple[MovingColliders | None, MovingColliders | StaticColliders | None]:
     """Return the colliders that are evaluated every step, or None, and all colliders at the nodes.
 
-    The former are those of scenes in which a collider moves or is a thin wall.
+    The former are those of scenes in which a collider moves or has a detail.
 
     Args:
         colliders: Colliders.
@@ -179,9 +180,9 @@ def place_colliders(
 
 
 def _changes(collider) -> bool:
-    """Return whether a collider moves or is a thin wall."""
-    shell = getattr(collider, "shell", None)
-    return any(each is not None for each in (collider.course, collider.body, shell))
+    """Return whether a collider moves, or has a detail that is read in every step."""
+    detail = getattr(collider, "detail", None)
+    return any(each is not None for each in (collider.course, collider.body, detail))
 
 
 def limit_rate_by_motion(

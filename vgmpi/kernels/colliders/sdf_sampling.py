@@ -35,6 +35,10 @@ class SampledSdf(NamedTuple):
     rotation_end: np.ndarray  # (m, 3, 3)
     move_end: np.ndarray  # (m, 3) [m]
 
+    def with_blocks(self, count: int) -> "SampledSdf":
+        """Return the table with room for the nodes of some blocks near colliders."""
+        return self
+
 
 @static_dispatch
 def sample_side(movers, m, own, sample):

@@ -44,8 +44,8 @@ class StaticColliders:
             close = collider.distance(centre) < (half + SDF_BAND_CELLS) * dx
             if getattr(collider, "hull", None) is not None:  # its distance function is not bounded
                 low, high = collider.ends()
-                beyond = np.maximum(np.maximum(low - centre, centre - high), 0.0)
-                close &= (beyond**2).sum(axis=1) < ((half + SDF_BAND_CELLS) * dx) ** 2
+                gap = np.maximum(np.maximum(low - centre, centre - high), 0.0)
+                close &= (gap**2).sum(axis=1) < ((half + SDF_BAND_CELLS) * dx) ** 2
             is_near |= close
         self._row = np.where(is_near, np.cumsum(is_near) - 1, -1)
         inside = np.stack(np.meshgrid(*(np.arange(BLOCK_EDGE),) * 3, indexing="ij"), -1).reshape(

@@ -19,7 +19,7 @@ from vgmpi.kernels.reaction_impulses import (
 from vgmpi.runtime.jit import always_inline, device_function
 
 from .contact_impulses import FULL_CONTACT_DISTANCE, NO_CONTACT_DISTANCE
-from .sided_phases import face_of_side
+from .divided_nodes import face_of_phase
 
 # [-] squared length of the normal along the walls below which the push is not made longer: a wedge
 # between wall and collider that is flatter than 30 degrees is squeezed out more slowly
@@ -105,7 +105,7 @@ def _find_collider(pushed, solids, phases, node):
         return False  # a free body couples after the walls
     for c in range(3):
         n[c] = solids.nodes[pushed.row, node, c]
-    n[3] = face_of_side(phases, pushed.phase, pushed.row, node, pushed.dx, n, distance)
+    n[3] = face_of_phase(phases, pushed.phase, pushed.row, node, pushed.dx, n, distance)
     return True
 
 

@@ -36,7 +36,7 @@ from .contact_impulses import (
     solve_contact_impulses,
     surface_normal,
 )
-from .sided_phases import are_apart, face_of_side
+from .divided_nodes import are_apart, face_of_phase
 
 
 class ContactNode(NamedTuple):
@@ -272,7 +272,7 @@ def _add_rigid_pairs(
             n[c] = surface[c]
         depth = surface[3]
         if a == COLLIDER_ROW:
-            depth = face_of_side(phases, ph, site.solid, site.node, step.dx, n, depth)
+            depth = face_of_phase(phases, ph, site.solid, site.node, step.dx, n, depth)
         distance_b = distance(n, -1.0, mine, mass, is_resolved, step.dx)
         is_reliable = is_resolved and normal_is_reliable(mine, mass)
         area_fraction = face_fraction(mass, phases.least[ph], distance_b) if is_reliable else 0.0

@@ -22,9 +22,9 @@ from vgmpi.runtime.jit import borrowing_kernel, device_function
 
 from .collider_hold import pushed_phase
 from .contact import apply_contact, has_several_parties
+from .divided_nodes import part_phases, unite_phases
 from .mixture_coupling import BlockContext, NodalFields, couple_block, store_mixture_values
 from .mixture_workspace import to_pointers
-from .sided_phases import part_sides, unite_sides
 
 CONTACT_ENABLED = True  # whether contact is compiled in; the GPU engine sets it per scene
 
@@ -111,7 +111,7 @@ def update(blocks, tables, summed, shear, stress, rules, walls, phases, solids, 
                     if block.at_wall and block.meets:
                         _project_offsets(moments.nodes, block, walls, phases, phase_of)
                     couple_block(block, fields, work, pairs, step.dt, step.dx)
-        unite_sides(phases, block, tables.solid[b], phase_of, nodes, moments.nodes, step.dx)
+        unite_phases(phases, block, tables.solid[b], phase_of, nodes, moments.nodes, step.dx)
         touches = block.meets and _may_touch(block, tables.solid[b], phase_of, solids, rules, step)
         if CONTACT_ENABLED and touches:
             apply_contact(block, tables, tables.solid[b], nodes, moments.nodes, shears, solids,
@@ -160,7 +160,7 @@ def _stop_at_walls(block, solid, velocities, offsets, walls, phase, phases, soli
             velocities, 256 * nb, low, walls.cells, kinds, walls.friction, work.given, pushed,
             solids, phases,
         )  # fmt: skip
-    part_sides(phases, block, phase, velocities)
+    part_phases(phases, block, phase, velocities)
 
 
 @device_function

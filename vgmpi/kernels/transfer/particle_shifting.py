@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vgmpi.kernels.grid.contact_impulses import half_space_fraction
-from vgmpi.kernels.grid.sided_phases import distance_of_side, is_sided, side_of
+from vgmpi.kernels.grid.divided_nodes import distance_of_phase, half_of, is_divided
 from vgmpi.kernels.particle_records import AFFINE, STATE, load_tensor
 from vgmpi.kernels.simd.cooperative import strided_range, sync_threads
 from vgmpi.kernels.simd.row_ops import (
@@ -165,8 +165,8 @@ def store_fullness(n0, n1, phase_of, nodes, volumes, fill, block, solid, phases,
     sync_threads()
     for q in strided_range(64):
         o = 256 * first + 4 * q + 3
-        if is_sided(phases, solid, q, dx):
-            _store_sided_fullness(
+        if is_divided(phases, solid, q, dx):
+            _store_divided_fullness(
                 phases, n0, n1, phase_of, nodes, volumes, fill, block, solid, dx, q
             )
             continue
@@ -188,7 +188,7 @@ def store_fullness(n0, n1, phase_of, nodes, volumes, fill, block, solid, phases,
 
 
 @device_function
-def _store_sided_fullness(phases, n0, n1, phase_of, nodes, volumes, fill, block, solid, dx, q):
+def _store_divided_fullness(phases, n0, n1, phase_of, nodes, volumes, fill, block, solid, dx, q):
     """Store the fullness on either side of a thin wall, for which the wall is a half space.
 
     Args:
@@ -198,18 +198,18 @@ def _store_sided_fullness(phases, n0, n1, phase_of, nodes, volumes, fill, block,
     front = back = 0.0
     for nb in range(n0, n1):
         amount = fill_of_phase(fill, volumes, nodes, nb, phase_of[nb], 4 * q + 3)
-        if side_of(phases, phase_of[nb]) >= 0:
+        if half_of(phases, phase_of[nb]) >= 0:
             front += amount
-        if side_of(phases, phase_of[nb]) <= 0:
+        if half_of(phases, phase_of[nb]) <= 0:
             back += amount
     i, j, k = 4 * block[0] - 1 + q // 16, 4 * block[1] - 1 + q // 4 % 4, 4 * block[2] - 1 + q % 4
     outside, share = share_outside_walls(fill, i, j, k), wall_share(fill, i, j, k)
     for nb in range(n0, n1):
         p = phase_of[nb]
         if fill.shifts[p]:
-            d = distance_of_side(phases, p, solid, q)
+            d = distance_of_phase(phases, p, solid, q)
             free = outside * (1.0 - half_space_fraction(d / dx))
-            total = front if side_of(phases, p) >= 0 else back
+            total = front if half_of(phases, p) >= 0 else back
             nodes[256 * nb + 4 * q + 3] = total + (1.0 - free) * share
 
 

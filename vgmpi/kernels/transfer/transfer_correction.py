@@ -4,7 +4,7 @@ The motion passes through the grid in a step of zero duration; its loss is what 
 last steps has taken.
 """
 
-from vgmpi.kernels.grid.sided_phases import average_sides
+from vgmpi.kernels.grid.divided_nodes import average_phases
 from vgmpi.kernels.grid.update import momentum_to_velocity
 from vgmpi.kernels.kernel_arguments import NODE_MASS_FLOOR
 from vgmpi.kernels.nodal_fields.carried_values import mean_over_set
@@ -67,7 +67,7 @@ def momentum_to_velocity_only(
                 momentum_to_velocity(nb, nodes, push, NODE_MASS_FLOOR * cell_mass[phase_of[nb]])
             elif not is_done:
                 mean_over_set(nb, n1, group, phase_of, as_one, nodes)
-        average_sides(phases, n0, n1, tables.solid[b], phase_of, nodes, step.dx)
+        average_phases(phases, n0, n1, tables.solid[b], phase_of, nodes, step.dx)
         rest_volumes = nodes
         if volumes is not None:
             rest_volumes = sums_at(volumes).nodes

@@ -97,14 +97,6 @@ def _regions(scene: Scene, plan: Plan) -> list[str]:
     ]
 
 
-def _thin_walls(scene: Scene) -> list[str]:
-    """Return the line that names the thin walls."""
-    names = [obj.name for obj in scene.object if obj.thin]
-    if not names:
-        return []
-    return [f"  thin walls  {_listing(names)}: what flows on one side does not feel the other"]
-
-
 def _flows(plan: Plan) -> list[str]:
     """Return the lines on inlets and outlets; memory and time include all that enters."""
     lines = [
@@ -125,7 +117,7 @@ def _flow(plan: Plan, source: InletPlan) -> float:
 
 def _accuracy_notes(scene: Scene, plan: Plan) -> list[str]:
     """Return the lines on what the scene's resolution and options make inexact."""
-    lines = _thin_walls(scene) + _restored(plan) + _without_cells(scene, plan)
+    lines = _restored(plan) + _without_cells(scene, plan)
     return lines + _sheets(plan) + _bending(scene, plan)
 
 

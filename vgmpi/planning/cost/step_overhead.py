@@ -8,7 +8,6 @@ STEP_SECONDS = 1e-4  # a step of one phase (`python -m tests.benchmarks overhead
 PHASE_SECONDS = 1.5e-4  # each further phase
 COLLIDER_SECONDS = 1.5e-4  # a collider at rest
 MOVING_COLLIDER_SECONDS = 1.5e-3  # one that moves
-THIN_WALL_SECONDS = 3e-3  # the sides of thin walls, in one step in which they are found
 INLET_SECONDS = 3e-4
 
 
@@ -27,6 +26,6 @@ def step_overhead(scene: Scene, plan: Plan) -> float:
         + PHASE_SECONDS * max(len(plan.phases) - 1, 0)
         + COLLIDER_SECONDS * (len(colliders) - moving)
         + MOVING_COLLIDER_SECONDS * moving
-        + THIN_WALL_SECONDS * (plan.sides is not None)
+        + sum(feature.step_seconds for feature in plan.features)
         + INLET_SECONDS * len(plan.sources)
     )

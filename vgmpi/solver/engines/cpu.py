@@ -9,7 +9,6 @@ import numpy as np
 from vgmpi.features.active_feature import ActiveFeature, NodeState, carrier_of, reserved_nodes
 from vgmpi.kernels import particle_records, reproducible_sums
 from vgmpi.kernels.grid import contact_impulses, mixture_workspace, update
-from vgmpi.kernels.grid.sided_phases import sided_phases
 from vgmpi.kernels.kernel_arguments import NodeBlocks, Step, Sums
 from vgmpi.kernels.nodal_fields import carried_values
 from vgmpi.kernels.reaction_impulses import GhostNodes
@@ -271,7 +270,9 @@ class Cpu(KernelCaller):
     def _update(self, thread: int, border: bool) -> None:
         blocks = self.block_shares.stage(border)[thread]
         layers, separate = self.layers, None
-        phases = sided_phases(self.phases, self.plan.sides, self.solids)
+        phases = self.phases
+        for feature in self.features.values():
+            phases = feature.divide_phases(phases)
         if not self.dt:
             self.call_if_rows(
                 (self.shift is None,), transfer_correction.momentum_to_velocity_only, blocks,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vgmpi.kernels.grid.sided_phases import Phases
+from vgmpi.kernels.grid.divided_nodes import Phases
 from vgmpi.kernels.kernel_arguments import Walls
 from vgmpi.kernels.wall_boundary import KINDS, SEPARATE, YIELDING
 from vgmpi.planning.phases_and_groups import PhasePlan

@@ -38,7 +38,7 @@ def is_summed_at_surfaces(plan: Plan) -> bool:
 
     Some features read them at more nodes.
     """
-    elsewhere = any(each.reads_all_nodes for each in plan.features) or plan.sides is not None
+    elsewhere = any(each.reads_all_nodes for each in plan.features)
     return any(each.reads_at_colliders for each in plan.features) and not elsewhere
 
 

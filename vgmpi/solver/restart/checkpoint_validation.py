@@ -171,8 +171,8 @@ def _rows(simulation, saved, g, first, block):
             wrong &= ~(np.isin(owner, body.things) & (body.group_after_release == g))
         released = [part for feature in plan.features for part in feature.released_parts()]
         wrong &= ~np.isin(usual, [part.group for part in released if part.group_after_release == g])
-        if plan.sides is not None:  # those on the back side of a wall are in a group of their own
-            wrong &= np.array(plan.sides.twin_group)[usual] != g
+        for feature in plan.features:
+            wrong &= ~feature.may_hold(g, usual)
     if wrong.any():
         row = int(np.argmax(wrong))
         return f"{name}/id: row {first + row}: {ids[row]} is no particle of it", ids[:0]

@@ -50,13 +50,13 @@ class ColliderHold:
                 self.sources.append(_Source(is_near, normal, distance, v[q].copy(), row))
 
     def _collider(self) -> _Source:
-        """Return the nearest collider, or the face of a thin wall on the side of the phase."""
+        """Return the nearest collider, or the face that divides nodes, in the half of the phase."""
         contact = self.contact
         is_near = contact.near & (contact.collider[..., 3] < NO_CONTACT_DISTANCE * contact.dx)
         normal, distance = contact.collider[..., :3].copy(), contact.collider[..., 3].copy()
-        if contact.thin is not None:
+        if contact.division is not None:
             for node in map(tuple, np.argwhere(is_near)):
-                normal[node], distance[node] = contact.thin.face(
+                normal[node], distance[node] = contact.division.face(
                     self.p, node, normal[node].copy(), distance[node]
                 )
         return _Source(is_near, normal, distance, contact.moves, contact.whose)

@@ -6,6 +6,8 @@ volumes and mean offsets of a phase's particles. The impulses of all pairs at a 
 together, by accumulated Jacobi sweeps.
 """
 
+from typing import Any
+
 import numpy as np
 
 from vgmpi.kernels.colliders.static_colliders import SDF_BAND_CELLS
@@ -35,7 +37,6 @@ from vgmpi.planning.plan import Plan
 
 from .dense_grid import PUSHING, Dense
 from .reaction_impulses import ReactionSums
-from .sided_walls import ThinWalls
 
 NO_CONTACT = None, np.zeros(3), np.zeros(4), 1.0  # no rigid body takes part in a pair of phases
 
@@ -66,7 +67,7 @@ class Contact:
         self.near = np.zeros(dense.shape, bool)  # nodes close to a collider that is no free body
         self.is_free = np.zeros(0, bool)  # of the colliders, or empty
         self.reserved: np.ndarray | None = None  # (phases, ...) bool: features attach it
-        self.thin: ThinWalls | None = None
+        self.division: Any = None  # what divides nodes between phases, see `ActiveFeature`
         self.planes, self.active_planes = np.zeros(dense.shape, int), plan.planes
         self._count_planes()
         self.least = np.array([CONTACT_MASS_FLOOR * phase.least for phase in plan.phases])
@@ -208,7 +209,7 @@ class Contact:
                     continue
                 if plan.phases[p].driven and plan.phases[p_other].driven:
                     continue
-                if self.thin is not None and self.thin.are_apart(p, p_other, node):
+                if self.division is not None and self.division.are_apart(p, p_other, node):
                     continue
                 first = plan.phases[p].contact_priority < plan.phases[p_other].contact_priority
                 a, b = (p, p_other) if first else (p_other, p)
@@ -245,8 +246,8 @@ class Contact:
                     continue  # colliders do not touch bodies there
                 if sides[b].is_present and (acts_on_fluid or plan.phases[b].meets_walls_by_contact):
                     outward, depth = np.array(n), distance
-                    if acts_on_fluid and self.thin is not None:
-                        outward, depth = self.thin.face(b, node, outward, distance)
+                    if acts_on_fluid and self.division is not None:
+                        outward, depth = self.division.face(b, node, outward, distance)
                     yield (
                         None, b, outward, depth / self.dx, sides[b].distance(-outward),
                         friction[b], plan.stiff[b], body,

@@ -1,5 +1,7 @@
 """Particle shifting of liquids, in plain NumPy; see docs/explanation/transfer-schemes.md."""
 
+from typing import Any
+
 import numpy as np
 
 from vgmpi.kernels.colliders.moving_colliders import MovingColliders
@@ -25,7 +27,6 @@ from vgmpi.solver.engines.shift_tables import node_fill
 from .dense_grid import Dense, Stencil
 from .group_channels import get_channel, put_channel
 from .moving_colliders import distance_from_colliders
-from .sided_walls import ThinWalls
 
 
 class ParticleShifting:
@@ -54,14 +55,14 @@ class ParticleShifting:
 
     def nodal_fullness(
         self, mass: np.ndarray, movers: MovingColliders | None, at_rest: np.ndarray,
-        thin: ThinWalls | None,
+        division: Any,
     ) -> np.ndarray | None:  # fmt: skip
         """Return the part of each node's cell that is filled, with its images at mirroring walls.
 
         Args:
             mass: Nodal masses [kg] or rest volumes [m3] of the phases, shape (phases, ..., 1).
             movers, at_rest: Colliders, see `distance_from_colliders`.
-            thin: Thin walls among them, or None; a wall is a half space for either of its sides.
+            division: What divides nodes between phases, or None; it is a half space for each half.
 
         Returns:
             Fullness that each phase sees, shape (phases, ..., 1), or None if no particles are
@@ -70,9 +71,9 @@ class ParticleShifting:
         if self.constants is None or self.table is None:
             return None
         filled = np.einsum("p,p...->p...", self.table.space.astype(np.float64), mass)
-        if thin is not None:
-            sides = [self._fullness(*thin.seen_from(side, filled)) for side in (-1, 0, 1)]
-            return np.stack([sides[side + 1] for side in thin.side])
+        if division is not None:
+            seen = [self._fullness(*division.seen_from(half, filled)) for half in (-1, 0, 1)]
+            return np.stack([seen[half + 1] for half in division.half])
         distance = distance_from_colliders(movers, self.dense, at_rest)
         return np.stack([self._fullness(filled.sum(0), distance)] * len(mass))
 

@@ -53,7 +53,6 @@ from .particle_shifting import ParticleShifting
 from .prescribed_motion import carry, prescribe
 from .reaction_impulses import ReactionSums, WallRecorder
 from .resolved_surfaces import resolved_surface
-from .sided_walls import ThinWalls
 from .surface_nodes import SurfaceNodes
 from .yielding_walls import sums_of
 
@@ -75,10 +74,7 @@ class Numpy(SurfaceNodes):
         self.contact = Contact(plan, self.dense)
         self.contact.motions = self.contact.motions if driven is None else driven.motions
         self.contact.is_free = getattr(solids, "is_free", self.contact.is_free)
-        self.thin: ThinWalls | None = None
         self.movers = solids if isinstance(solids, MovingColliders) else None
-        if plan.sides is not None and self.movers is not None:
-            self.thin = self.contact.thin = ThinWalls(plan, self.movers, self.dense)
         if isinstance(solids, StaticColliders):
             self.contact.set_rigid(*solids.surface(self.dense.points()))
         self.sharing = None
@@ -218,7 +214,7 @@ class Numpy(SurfaceNodes):
         """Compute nodal velocities (gravity, couplings, contact, walls) and mean values."""
         if border:
             return
-        plan, dense = self.plan, self.dense
+        plan, dense, division = self.plan, self.dense, self._division()
         mass, volume, counted = (a[..., 0] for a in (self.mass, self.volume, self.counted))
         floors = [NODE_MASS_FLOOR * phase.least for phase in plan.phases]
         min_mass = np.reshape(floors, (-1, 1, 1, 1))
@@ -228,9 +224,9 @@ class Numpy(SurfaceNodes):
         if not self.dt:
             groups = None if plan.rules is None else plan.rules.as_one
             self.v = summed if groups is None else mean_velocities(summed, mass, groups)
-            if self.thin is not None:
-                self.thin.place()
-                self.thin.average(self.v, self.mass[..., 0])
+            if division is not None:
+                division.place()
+                division.average(self.v, self.mass[..., 0])
             for p in range(len(plan.phases)):
                 dense.mirror(self.v[p], p, self.record(p, self.mirrors))
             return
@@ -247,9 +243,9 @@ class Numpy(SurfaceNodes):
         if self.sharing is not None:
             volumes = self.sharing.volumes(mass, counted)
             self.drift = self.sharing.apply(v, mass, self.forces, volumes, self.offset, self.dt)
-        if self.thin is not None:
+        if division is not None:
             mass = self.mass[..., 0].copy()
-            self.thin.unite(v, mass, self.offset, self.volume)
+            division.unite(v, mass, self.offset, self.volume)
             some = mass[..., None] > 0
         heavy = mass.copy()
         if self.driven is not None:
@@ -259,8 +255,8 @@ class Numpy(SurfaceNodes):
         holds = [ColliderHold(self, p, v, mass, volume) for p in range(len(v))]
         for p, hold in enumerate(holds):
             dense.constrain(v[p], p, self.record(p, 1.0, mass[p]), hold)
-        if self.thin is not None:
-            self.thin.part(v)
+        if division is not None:
+            division.part(v)
         if self.sharing is not None:
             self.flux, self.share, self.full = self.sharing.flux(v, mass, volumes)
             v = v - self.drift
@@ -269,11 +265,18 @@ class Numpy(SurfaceNodes):
         self.v = v
         self.carried.average()
 
+    def _division(self) -> Any:
+        """Return how a feature divides nodes between phases, or None."""
+        if self.contact.division is None:
+            divisions = (each.divide_dense_nodes(self.dense) for each in self.features.values())
+            self.contact.division = next((each for each in divisions if each is not None), None)
+        return self.contact.division
+
     def _place_colliders(self) -> None:
-        """Tell the contact where moving colliders, thin walls and attached nodes are."""
-        if self.thin is not None:
-            self.thin.place()
-            self.contact.set_rigid(self.thin.collider, self.thin.whose, self.thin.moves)
+        """Tell the contact where moving colliders, divided and attached nodes are."""
+        if (division := self.contact.division) is not None:
+            division.place()
+            self.contact.set_rigid(division.collider, division.whose, division.moves)
         elif self.movers is not None:
             table, points = self.movers.table, self.dense.points()
             self.contact.set_rigid(*nearest_collider(table, points, self.dt, self.plan.dx))
@@ -317,7 +320,7 @@ class Numpy(SurfaceNodes):
         """Add `times` the motion that a step of no time has taken from the particles."""
         self.shifting.replace_mass(self.mass, self.groups, self.stencils)
         fullness = self.shifting.nodal_fullness(
-            self.mass, self.movers, self.contact.collider, self.thin
+            self.mass, self.movers, self.contact.collider, self.contact.division
         )
         for group, stencil in zip(self.groups, self.stencils, strict=True):
             if len(group) and not group.plan.is_carried:

@@ -1,19 +1,19 @@
-"""Two sides of thin walls on dense arrays, in plain NumPy; see kernels/grid/sided_phases.py.
+"""Two sides of thin walls on dense arrays, in plain NumPy; see kernels.py.
 
 Where walls are is computed in the blocks close to them, as for the other engines.
 """
 
+from typing import Any
+
 import numpy as np
 
 from vgmpi.kernels.colliders.moving_colliders import MovingColliders
-from vgmpi.kernels.grid.sided_phases import SIDED_CELLS
-from vgmpi.kernels.rigid.shell_sampling import SampledShells
-from vgmpi.planning.plan import Plan
 
-from .dense_grid import Dense
+from .kernels import SIDED_CELLS, SampledShells
+from .plan import ThinWallsPlan
 
 
-class ThinWalls:
+class WallSides:
     """Phases on the front and the back side of thin walls, and the walls at the nodes.
 
     Attributes:
@@ -22,19 +22,18 @@ class ThinWalls:
         faces: Normal and distance [m] of the wall for its two sides, shape (..., 2, 4).
     """
 
-    def __init__(self, plan: Plan, movers: MovingColliders, dense: Dense):
+    def __init__(self, plan: ThinWallsPlan, movers: MovingColliders, dense: Any):
         """Take the sides of a plan."""
-        assert plan.sides is not None
         self.movers, self.dense = movers, dense
-        self.side = np.array(plan.sides.side)
+        self.half = np.array(plan.side)
         # (front, back) phases
         self.pairs = [
-            (twin, p) for p, twin in enumerate(plan.sides.twin) if self.side[p] < 0 and twin >= 0
+            (twin, p) for p, twin in enumerate(plan.twin) if self.half[p] < 0 and twin >= 0
         ]
         self.collider, self.moves = np.zeros((*dense.shape, 4)), np.zeros((*dense.shape, 3))
         self.whose = np.zeros(dense.shape, np.int64)
         self.faces = np.zeros((*dense.shape, 2, 4))
-        self.is_sided = np.zeros(dense.shape, bool)  # where the two sides are two fields
+        self.is_divided = np.zeros(dense.shape, bool)  # where the two sides are two fields
         self.united: list[tuple[int, int, np.ndarray]] = []  # front, back, where both are one
 
     def place(self) -> None:
@@ -48,7 +47,7 @@ class ThinWalls:
         if len(movers.whose):
             self.whose[index] = movers.whose[inside]
         close = self.collider[..., 3] < SIDED_CELLS * self.dense.dx
-        self.is_sided = close & (self.faces[..., 0, 3] < np.inf)
+        self.is_divided = close & (self.faces[..., 0, 3] < np.inf)
 
     def unite(self, v: np.ndarray, mass: np.ndarray, *sums: np.ndarray) -> None:
         """Move what is on back sides to front sides, where both sides are one.
@@ -60,7 +59,7 @@ class ThinWalls:
         """
         self.united = []
         for front, back in self.pairs:
-            common = (mass[back] > 0.0) & ~self.is_sided
+            common = (mass[back] > 0.0) & ~self.is_divided
             v[front][common] = _mean(v, mass, front, back, common)
             v[back][common] = 0.0
             mass[front][common] += mass[back][common]
@@ -82,7 +81,7 @@ class ThinWalls:
             mass: Masses, shape (phases, ...) [kg].
         """
         for front, back in self.pairs:
-            common = (mass[back] > 0.0) & ~self.is_sided
+            common = (mass[back] > 0.0) & ~self.is_divided
             v[front][common] = v[back][common] = _mean(v, mass, front, back, common)
 
     def seen_from(self, side: int, filled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -92,10 +91,10 @@ class ThinWalls:
             side: 1 on the front side of walls, -1 on the back side, 0 on neither.
             filled: Part of the cells that each phase fills, shape (phases, ..., 1).
         """
-        own = filled[self.side >= 0 if side >= 0 else self.side <= 0].sum(0)
-        own = np.where(self.is_sided[..., None], own, filled.sum(0))
+        own = filled[self.half >= 0 if side >= 0 else self.half <= 0].sum(0)
+        own = np.where(self.is_divided[..., None], own, filled.sum(0))
         face = self.faces[..., (1 - side) // 2, 3] if side else np.inf
-        return own, np.where(self.is_sided, face, self.collider[..., 3])
+        return own, np.where(self.is_divided, face, self.collider[..., 3])
 
     def are_apart(self, p: int, q: int, node: tuple) -> bool:
         """Return whether two phases lie on different sides of a wall, so that they do not meet.
@@ -104,7 +103,7 @@ class ThinWalls:
             p, q: The two phases.
             node: Index of the node.
         """
-        return bool(self.side[p] * self.side[q] < 0 and self.is_sided[node])
+        return bool(self.half[p] * self.half[q] < 0 and self.is_divided[node])
 
     def face(self, p: int, node: tuple, normal: np.ndarray, distance: float):
         """Return normal and distance [m] of a collider as a phase meets it at a node.
@@ -114,9 +113,9 @@ class ThinWalls:
             node: Index of the node.
             normal, distance: Those of the closest face.
         """
-        if self.side[p] == 0 or not self.is_sided[node]:
+        if self.half[p] == 0 or not self.is_divided[node]:
             return normal, distance
-        own = self.faces[node][(1 - self.side[p]) // 2]
+        own = self.faces[node][(1 - self.half[p]) // 2]
         return own[:3], own[3]
 
 

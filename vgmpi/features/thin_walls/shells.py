@@ -8,7 +8,8 @@ the edge of the wall, such as over the rim of a cup.
 """
 
 import itertools
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -16,15 +17,10 @@ import scipy.spatial
 from scipy.sparse.csgraph import connected_components
 
 from vgmpi.kernels.colliders.moving_colliders import SDF_SPACING_CELLS
-from vgmpi.kernels.rigid.shell_sampling import (
-    EDGE,
-    NEAR_EDGE,
-    SIDED,
-    WALL_BAND_CELLS,
-    ShellLattice,
-)
+from vgmpi.preprocess.placement import PlacementError
+from vgmpi.preprocess.sheet_collider import SheetCollider
 
-from .sheet_collider import SheetCollider
+from .kernels import EDGE, NEAR_EDGE, SIDED, WALL_BAND_CELLS, ShellLattice
 
 MAX_THICKNESS_CELLS = 3.0  # [cells] thickness up to which a wall has two sides
 RAY_STEP_CELLS = 0.125  # [cells] length of a step along a ray through the wall
@@ -58,6 +54,29 @@ class _Faces(NamedTuple):
     normal: np.ndarray  # (n, 3) outward normals
     foot: np.ndarray  # (n, 3) [m] closest point of the face
     opposite: np.ndarray  # (n, 3) places next to the opposite face
+
+
+def with_shell(collider: Any, dx: float, size: tuple[float, float, float]) -> Any:
+    """Return a collider that is a thin wall with its two sides.
+
+    Args:
+        collider: Collider.
+        dx: Cell size [m].
+        size: Edges of the domain [m].
+
+    Raises:
+        PlacementError: Its walls have no two sides.
+    """
+    try:
+        is_at_rest = collider.course is None and collider.body is None
+        domain = (np.zeros(3), np.array(size)) if is_at_rest else None
+        shell = thin_shell(collider, dx, domain)
+    except ValueError as error:
+        raise PlacementError("thin", str(error)) from None
+    if shell is None:
+        message = "is not needed: nowhere are two faces up to three cells apart"
+        raise PlacementError("thin", message)
+    return replace(collider, detail=shell)
 
 
 def thin_shell(

@@ -1,23 +1,41 @@
-"""Thin walls in the frames of their colliders: a signed distance for each side.
+"""Thin walls in compiled code: colliders with two sides, and nodes that they divide.
 
 The distance of a side goes on decreasing through the wall and behind it, so that it is smooth
-through the wall, however thin that is.
+through the wall, however thin that is. For the velocity field of side s, a wall is a half space
+behind the face of that side. Where no wall is close, and beyond the edges of walls, both fields are
+one (kernels/grid/divided_nodes.py).
 """
 
-from typing import Any, NamedTuple
+from collections import namedtuple
+from typing import NamedTuple
 
 import numpy as np
 
 from vgmpi.kernels.colliders.sdf_sampling import (
+    SampledSdf,
     interpolate_cell,
     own_position,
     sample_side,
     store_side,
     turn_gradient,
 )
+from vgmpi.kernels.grid.divided_nodes import (
+    Phases,
+    are_apart,
+    average_phases,
+    distance_of_phase,
+    face_of_phase,
+    half_of,
+    is_divided,
+    part_phases,
+    unite_phases,
+)
+from vgmpi.kernels.simd.cooperative import strided_range, sync_threads
 from vgmpi.runtime.jit import device_function, kernel
 
+SIDED_CELLS = 1.5  # [cells] distance from a wall within which its two sides are two fields
 WALL_BAND_CELLS = 5.0  # [cells] distance from a wall within which particles have a side
+MIN_OVERLAP_CELLS = 0.05  # [cells] depth from which a body inside a wall is named
 SIDED, NEAR_EDGE, EDGE = 1, 2, 3  # kinds of lattice points, 0: far from the wall
 
 
@@ -32,6 +50,21 @@ class ShellLattice(NamedTuple):
     front: np.ndarray  # (nx, ny, nz) [m] signed distance of the front side
     back: np.ndarray  # (nx, ny, nz) [m] signed distance of the back side
     kinds: np.ndarray  # (nx, ny, nz) int8: SIDED, NEAR_EDGE, EDGE (beyond the edge) or 0
+
+    @property
+    def min_overlap_cells(self) -> float:
+        """Return the depth in the wall [cells] from which a body that begins there is named."""
+        return MIN_OVERLAP_CELLS
+
+    @staticmethod
+    def extend_table(table: SampledSdf, details: list) -> "SampledShells":
+        """Return the table of sampled colliders with the sides of those that are thin walls.
+
+        Args:
+            table: Sampled colliders.
+            details: ShellLattice of each collider, or None.
+        """
+        return _with_shells(table, details)
 
 
 class SampledShells(NamedTuple):
@@ -57,15 +90,13 @@ class SampledShells(NamedTuple):
     faces: np.ndarray
     scratch: np.ndarray  # (2, 4)
 
+    def with_blocks(self, count: int) -> "SampledShells":
+        """Return the table with room for the nodes of some blocks near colliders."""
+        return self._replace(faces=np.zeros((count, 64, 2, 4)))
 
-def with_shells(table, colliders: list) -> Any:
-    """Return sampled colliders with their thin walls, as SampledShells.
 
-    Args:
-        table: SampledSdf.
-        colliders: Colliders; `shell` is the ShellLattice of a thin wall or None.
-    """
-    shells = [getattr(collider, "shell", None) for collider in colliders]
+def _with_shells(table: SampledSdf, shells: list) -> SampledShells:
+    """Return sampled colliders with their thin walls; shells: ShellLattice of each, or None."""
     sizes = [0 if shell is None else shell.front.size for shell in shells]
     first = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64)
     first[np.array(sizes) == 0] = -1
@@ -175,3 +206,109 @@ def find_sides(points, shells, middle, kinds, faces):
             if kind != 0 and abs(depth) < abs(middle[p]):
                 middle[p], kinds[p] = depth, kind
                 turn_faces(shells, m, faces[p])
+
+
+# The fields of Phases, and the thin walls next to the nodes of this rank: `side` (phases,), 1 or -1
+# (back side of walls), 0 without sides; `twin` (phases,), the same phase on the other side or -1;
+# `walls` (n, 64, 4), outward normal and distance [m] of the nearest collider; `faces`
+# (n, 64, 2, 4), see `SampledShells`.
+SidedPhases = namedtuple("SidedPhases", (*Phases._fields, "side", "twin", "walls", "faces"))  # type: ignore[misc]
+
+
+@unite_phases.of(SidedPhases)
+def _unite(phases, block, solid, phase_of, nodes, offsets, dx):
+    for back in range(block.n0, block.n1):
+        front = _other_side(phases, back, block.n0, block.n1, phase_of)
+        if front < 0:
+            continue
+        for node in strided_range(64):
+            o, p = 256 * front + 4 * node, 256 * back + 4 * node
+            if nodes[p + 3] <= 0.0 or is_divided(phases, solid, node, dx):
+                continue
+            m, n = nodes[o + 3], nodes[p + 3]
+            for c in range(3):
+                nodes[o + c] = (m * nodes[o + c] + n * nodes[p + c]) / (m + n)
+                nodes[p + c] = 0.0
+            nodes[o + 3], nodes[p + 3] = m + n, -n
+            if block.meets:
+                for c in range(4):
+                    offsets[o + c] += offsets[p + c]
+    sync_threads()
+
+
+@part_phases.of(SidedPhases)
+def _part(phases, block, phase_of, nodes):
+    sync_threads()
+    for back in range(block.n0, block.n1):
+        front = _other_side(phases, back, block.n0, block.n1, phase_of)
+        if front < 0:
+            continue
+        for node in strided_range(64):
+            o, p = 256 * front + 4 * node, 256 * back + 4 * node
+            if nodes[p + 3] < 0.0:
+                for c in range(3):
+                    nodes[p + c] = nodes[o + c]
+                nodes[o + 3] += nodes[p + 3]
+                nodes[p + 3] = -nodes[p + 3]
+    sync_threads()
+
+
+@average_phases.of(SidedPhases)
+def _average(phases, n0, n1, solid, phase_of, nodes, dx):
+    for back in range(n0, n1):
+        front = _other_side(phases, back, n0, n1, phase_of)
+        if front < 0:
+            continue
+        for node in strided_range(64):
+            o, p = 256 * front + 4 * node, 256 * back + 4 * node
+            m, n = nodes[o + 3], nodes[p + 3]
+            if n <= 0.0 or is_divided(phases, solid, node, dx):
+                continue
+            for c in range(3):
+                nodes[o + c] = nodes[p + c] = (m * nodes[o + c] + n * nodes[p + c]) / (m + n)
+    sync_threads()
+
+
+@are_apart.of(SidedPhases)
+def _apart(phases, p, q, solid, node, dx):
+    return phases.side[p] * phases.side[q] < 0 and is_divided(phases, solid, node, dx)
+
+
+@face_of_phase.of(SidedPhases)
+def _own_face(phases, p, solid, node, dx, normal, distance):
+    if phases.side[p] == 0 or not is_divided(phases, solid, node, dx):
+        return distance
+    face = phases.faces[solid, node, (1 - phases.side[p]) // 2]
+    for c in range(3):
+        normal[c] = face[c]
+    return face[3]
+
+
+@distance_of_phase.of(SidedPhases)
+def _own_distance(phases, p, solid, node):
+    if phases.side[p] == 0:
+        return np.inf
+    return phases.faces[solid, node, (1 - phases.side[p]) // 2, 3]
+
+
+@is_divided.of(SidedPhases)
+def _is_close_to_wall(phases, solid, node, dx):
+    if solid < 0 or not phases.faces[solid, node, 0, 3] < np.inf:
+        return False
+    return phases.walls[solid, node, 3] < SIDED_CELLS * dx
+
+
+@half_of.of(SidedPhases)
+def _stored_side(phases, p):
+    return phases.side[p]
+
+
+@device_function
+def _other_side(phases, back, n0, n1, phase_of):
+    """Return the node block of the front side of a back one, or -1."""
+    p = phase_of[back]
+    if phases.side[p] < 0:
+        for nb in range(n0, n1):
+            if phase_of[nb] == phases.twin[p]:
+                return nb
+    return -1
