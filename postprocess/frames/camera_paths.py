@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from vgmpi.gaussians import camera_files
 from vgmpi.gaussians.camera import HEIGHT, NEAR_PLANE, Camera, fit_orbit_to_box, look_at, orbit_eye
+from vgmpi.gaussians.camera_files import NamedCameras
 
-from . import camera_selection
 from .render_config import CameraSettings, PictureSettings, SettingsError
 
 
@@ -138,11 +139,11 @@ def _cameras_of_file(settings: CameraSettings, folder: Path) -> list[Camera]:
     if settings.kind == "transforms":
         assert settings.file is not None
         path = folder / settings.file
-        named = camera_selection.transforms(path)
+        named = read_transforms(path)
     else:
         assert settings.folder is not None
         path = folder / settings.folder
-        named = camera_selection.colmap(path)
+        named = read_colmap(path)
     if settings.image is not None:
         matching = [camera for name, camera in named if settings.image in (name, Path(name).name)]
         if len(matching) != 1:
@@ -185,3 +186,21 @@ def _resized(camera: Camera, width: int, height: int) -> Camera:
         camera, width=width, height=height, fx=camera.fx * x, cx=camera.cx * x, fy=camera.fy * y,
         cy=camera.cy * y,
     )  # fmt: skip
+
+
+def read_transforms(path: Path) -> NamedCameras:
+    """Read cameras by vgmpi.gaussians.camera_files.transforms. Raises SettingsError."""
+    return _with_settings_error(camera_files.transforms, path)
+
+
+def read_colmap(folder: Path) -> NamedCameras:
+    """Read cameras by vgmpi.gaussians.camera_files.colmap. Raises SettingsError."""
+    return _with_settings_error(camera_files.colmap, folder)
+
+
+def _with_settings_error(reader: Callable[[Path], NamedCameras], path: Path) -> NamedCameras:
+    """Read cameras and convert the error."""
+    try:
+        return reader(path)
+    except camera_files.CameraFileError as error:
+        raise SettingsError(error.lines) from None

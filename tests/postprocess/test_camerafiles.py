@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from vgmpi.gaussians.camera import look_at
-from vgmpi.postprocess.frames import camera_selection
+from vgmpi.postprocess.frames import camera_paths
 from vgmpi.postprocess.frames.render_config import SettingsError
 
 LENS = {"fl_x": 90.0, "fl_y": 80.0, "cx": 60.0, "cy": 30.0, "w": 128, "h": 64}
@@ -63,7 +63,7 @@ def same(named, want):
 def test_transforms_stand_where_they_stood(tmp_path):
     path = tmp_path / "transforms.json"
     path.write_text(json.dumps(as_transforms(cameras())))
-    named = camera_selection.transforms(path)
+    named = camera_paths.read_transforms(path)
     same(named, cameras())
     assert [name for name, _ in named] == [f"images/{k}.png" for k in range(3)]
     # the target is in front of the camera and on the vertical through the centre
@@ -78,7 +78,7 @@ def test_a_lens_of_a_frame_comes_first_and_angles_will_do(tmp_path):
     data["frames"][1]["fl_x"] = 33.0
     path = tmp_path / "t.json"
     path.write_text(json.dumps(data))
-    first, second, _ = (camera for _, camera in camera_selection.transforms(path))
+    first, second, _ = (camera for _, camera in camera_paths.read_transforms(path))
     assert first.fx == pytest.approx(64) and first.fy == pytest.approx(64)
     assert (second.fx, second.fy) == (33.0, 33.0)
 
@@ -86,7 +86,7 @@ def test_a_lens_of_a_frame_comes_first_and_angles_will_do(tmp_path):
 @pytest.mark.parametrize("binary", [False, True])
 def test_colmap_stands_where_it_stood(tmp_path, binary):
     write_colmap(tmp_path / "sparse", cameras(), binary)
-    named = camera_selection.colmap(tmp_path / "sparse")
+    named = camera_paths.read_colmap(tmp_path / "sparse")
     assert [name for name, _ in named] == ["photo 7.png", "photo 8.png", "photo 9.png"]
     same(named, cameras()[::-1])
 
@@ -95,7 +95,7 @@ def test_colmap_without_lines_of_points(tmp_path):
     write_colmap(tmp_path, cameras())
     lines = (tmp_path / "images.txt").read_text().splitlines()
     (tmp_path / "images.txt").write_text("\n".join(lines[:1] + lines[1::2]))
-    same(camera_selection.colmap(tmp_path), cameras()[::-1])
+    same(camera_paths.read_colmap(tmp_path), cameras()[::-1])
 
 
 def changed(**changes):
@@ -139,7 +139,7 @@ def test_wrong_transforms_are_one_line(tmp_path, name):
     text, says = BAD_JSON[name]
     path = tmp_path / "t.json"
     path.write_text(text)
-    one_line(lambda: camera_selection.transforms(path), path, says)
+    one_line(lambda: camera_paths.read_transforms(path), path, says)
 
 
 def one_line(call, path, says):
@@ -174,7 +174,7 @@ def test_wrong_models_are_one_line(tmp_path, name):
     (tmp_path / "cameras.txt").write_text(lens or "7 PINHOLE 128 64 90 80 60 30")
     poses = poses if isinstance(poses, bytes) else poses.encode()
     (tmp_path / "images.txt").write_bytes(poses)
-    one_line(lambda: camera_selection.colmap(tmp_path), tmp_path / f"{file}.txt", says)
+    one_line(lambda: camera_paths.read_colmap(tmp_path), tmp_path / f"{file}.txt", says)
 
 
 @pytest.mark.parametrize("file", ["cameras.bin", "images.bin"])
@@ -183,16 +183,16 @@ def test_binary_models_cut_anywhere_are_one_line(tmp_path, file):
     whole = (tmp_path / file).read_bytes()
     for length in range(0, len(whole), 7):
         (tmp_path / file).write_bytes(whole[:length])
-        one_line(lambda: camera_selection.colmap(tmp_path), tmp_path / file, "")
+        one_line(lambda: camera_paths.read_colmap(tmp_path), tmp_path / file, "")
     (tmp_path / file).write_bytes(struct.pack("<Q", 2**63) + whole[8:])  # a false count
-    one_line(lambda: camera_selection.colmap(tmp_path), tmp_path / file, "")
+    one_line(lambda: camera_paths.read_colmap(tmp_path), tmp_path / file, "")
 
 
 def test_files_that_are_not_there(tmp_path):
     one_line(
-        lambda: camera_selection.transforms(tmp_path / "t.json"), tmp_path / "t.json", "No such"
+        lambda: camera_paths.read_transforms(tmp_path / "t.json"), tmp_path / "t.json", "No such"
     )
     one_line(
-        lambda: camera_selection.colmap(tmp_path / "x"), tmp_path / "x" / "cameras.txt", "No such"
+        lambda: camera_paths.read_colmap(tmp_path / "x"), tmp_path / "x" / "cameras.txt", "No such"
     )
-    one_line(lambda: camera_selection.transforms(tmp_path), tmp_path, f"{tmp_path}: is no regular")
+    one_line(lambda: camera_paths.read_transforms(tmp_path), tmp_path, f"{tmp_path}: is no regular")

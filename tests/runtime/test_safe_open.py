@@ -11,7 +11,7 @@ import pytest
 from tests.support import launch
 from vgmpi.commands import cli
 from vgmpi.io.run_reader import RunError, RunReader, inspect, read_gaussians
-from vgmpi.postprocess.frames import camera_selection, image_io
+from vgmpi.postprocess.frames import camera_paths, image_io
 from vgmpi.postprocess.frames.render_config import SettingsError
 from vgmpi.preprocess.meshes import triangle_mesh
 from vgmpi.runtime import process_limits, user_files
@@ -59,7 +59,7 @@ def test_what_is_inspected_is_a_file(tmp_path, suffix, capsys):
 
 def test_settings_cameras_and_backgrounds_are_files(odd):
     with pytest.raises(SettingsError, match="is no regular file"):
-        camera_selection.transforms(odd)
+        camera_paths.read_transforms(odd)
     with pytest.raises(image_io.VideoError, match="is no regular file"):
         image_io.background(str(odd), 8, 8, odd.parent)
     with pytest.raises(triangle_mesh.TextureError, match="is no regular file"):
@@ -132,4 +132,4 @@ def test_a_file_that_is_not_there_is_named_as_it_may_be_meant(tmp_path, capsys):
     with pytest.raises(RunError, match=r"no such file \(did you mean 'sky.png'\?\)"):
         inspect(tmp_path / "pictures" / "sky.h5")
     with pytest.raises(SettingsError, match="No such file or directory$"):
-        camera_selection.transforms(tmp_path / "a.json")
+        camera_paths.read_transforms(tmp_path / "a.json")

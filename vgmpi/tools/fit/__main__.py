@@ -20,7 +20,7 @@ from vgmpi.runtime.user_files import replace_file
 from vgmpi.scene.loader import load
 from vgmpi.tools.tradeoff.study_runs import StudyError
 
-from . import comparison_video, fit_report
+from . import fit_report
 from .evaluations import Evaluation, Evaluations
 from .fit_config import FitFile
 from .run_pool import RunPool
@@ -104,7 +104,7 @@ def _write(file: FitFile, result: FitResult, trials: Evaluations, folder: Path) 
             folder / "beside.lock"
         ) as handle:  # one of several processes makes the video
             if handle is not None:
-                comparison_video.write(
+                fit_report.write_comparison(
                     trials.target, result.best.done.folder, folder / "beside.mp4"
                 )
     for k, axis in enumerate(file.axes):

@@ -1,4 +1,4 @@
-"""Output of a fit: fit.csv, fitted.toml, report.md and a plot of the loss."""
+"""Output of a fit: fit.csv, fitted.toml, report.md, a plot of the loss, a video of the target."""
 
 import csv
 import io
@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from vgmpi.postprocess.frames.image_io import Film, to_bytes
 from vgmpi.runtime.config import toml_writer
 from vgmpi.runtime.config.toml_source import TomlSource
 from vgmpi.runtime.user_files import replace_file
@@ -14,9 +15,11 @@ from vgmpi.runtime.user_files import replace_file
 from .evaluations import Evaluation, Evaluations
 from .fit_config import FitFile
 from .parameter_space import ParameterAxis
+from .target_base import Target
 from .workflow import FitResult, interval
 
 HIGH_CORRELATION = 0.95  # [-] correlation above which two parameters are reported
+GAP_WIDTH = 2  # [pixels] gap between the two images of the video
 END_TOLERANCE = 1e-3  # [ranges] a value closer to an end of its range may lie beyond it
 
 
@@ -200,3 +203,20 @@ def plot(file: FitFile, result: FitResult, trials: Evaluations, path: Path) -> N
     figure.savefig(picture, format="png")
     replace_file(path, picture.getvalue())
     pyplot.close(figure)
+
+
+def write_comparison(target: Target, folder: Path, path: Path) -> None:
+    """Write a video with the target on the left and the run in `folder` on the right.
+
+    Raises RunError, VideoError, vgmpi.postprocess.frames.render_config.SettingsError.
+    """
+    assert target.pictures is not None
+    left, right = target.images(), target.pictures.render_run(folder, target.frames)
+    count, height, width = right.shape[:3]
+    size = (2 * width + GAP_WIDTH, height)
+    video_settings = target.pictures.chosen.video
+    with Film(path, *size, video_settings.fps, video_settings.quality) as out:
+        for target_image, run_image in zip(left, right):
+            picture = np.zeros((height, size[0], 3))
+            picture[:, :width], picture[:, width + GAP_WIDTH :] = target_image, run_image
+            out.add(to_bytes(picture))
