@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
-from scipy.sparse.csgraph import connected_components
 
 from vgmpi.runtime import process_limits
 
@@ -183,7 +182,7 @@ def _joined_points(mesh: Mesh) -> np.ndarray:
     )
     pairs = tree.query_pairs(_SEAM, output_type="ndarray")
     links = scipy.sparse.coo_array((np.ones(len(pairs)), pairs.T), (len(rim), len(rim)))
-    part = connected_components(links, directed=False)[1]
+    part = scipy.sparse.csgraph.connected_components(links, directed=False)[1]
     lowest = np.full(part.max() + 1, label.max())
     np.minimum.at(lowest, part, rim)
     merged = np.arange(label.max() + 1)
@@ -220,10 +219,10 @@ def _shells(tables: list[_Edges], is_proper: np.ndarray) -> tuple[np.ndarray, np
     rows = np.concatenate([a, a + count])
     columns = np.concatenate([b + crossed, b + count - crossed])
     links = scipy.sparse.coo_array((np.ones(len(rows)), (rows, columns)), (2 * count, 2 * count))
-    part = connected_components(links, directed=False)[1]
+    part = scipy.sparse.csgraph.connected_components(links, directed=False)[1]
     side = np.sign(part[count:].astype(np.int64) - part[:count])
     links = scipy.sparse.coo_array((np.ones(len(a)), (a, b)), (count, count))
-    shell = connected_components(links, directed=False)[1].astype(np.int64)
+    shell = scipy.sparse.csgraph.connected_components(links, directed=False)[1].astype(np.int64)
     shell[~is_proper] = -1
     shell[is_proper] = np.unique(shell[is_proper], return_inverse=True)[1].ravel()
     return shell, side
@@ -238,7 +237,7 @@ def _holes(x: np.ndarray, label: np.ndarray, ends: np.ndarray) -> tuple[np.ndarr
     nodes, edge = np.unique(ends, return_inverse=True)
     edge = edge.reshape(-1, 2)
     links = scipy.sparse.coo_array((np.ones(len(edge)), edge.T), (len(nodes), len(nodes)))
-    count, part = connected_components(links, directed=False)
+    count, part = scipy.sparse.csgraph.connected_components(links, directed=False)
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
     np.minimum.at(low, part, place[nodes])
     np.maximum.at(high, part, place[nodes])
