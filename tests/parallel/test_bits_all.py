@@ -6,10 +6,11 @@ import pytest
 
 from tests.support.file_digests import digests, frame_digests
 from tests.support.launch import go
+from tests.support.simulated_runs import run_here
 from tests.support.small_scenes import LAWS, SHARED, every_law, write
+from vgmpi.commands import cli
 from vgmpi.materials import registry
 
-pytestmark = pytest.mark.mpi
 POOL = """
 [domain]
 size = [0.32, 0.16, 0.16]
@@ -38,8 +39,8 @@ shape = { sphere = { center = [0.2, 0.08, 0.04], radius = 0.035 } }
 """
 
 
-def bits(scene, out, n, *flags, code=0):
-    go(scene, out, n, *flags, code=code)
+def bits(scene, out, n, *flags, code=0, start=run_here):
+    start(scene, out, n, *flags, code=code)
     return digests(out)
 
 
@@ -48,7 +49,7 @@ def test_phases_that_share_space(precision, tmp_path):
     same_everywhere(write(tmp_path, SHARED.replace("PRECISION", precision)), tmp_path)
 
 
-def test_colors_that_travel_with_every_step(tmp_path):
+def test_colors_that_travel_with_every_step(tmp_path, capsys):
     """And AFLIP with every coupling."""
     text = SHARED.replace("PRECISION", "single")
     text = text.replace("[accuracy]", '[accuracy]\ntransfer = "aflip"')
@@ -62,13 +63,14 @@ def test_colors_that_travel_with_every_step(tmp_path):
         kinds = frame["VTKHDF/PointData/object"][()]
     assert not np.isnan(color[kinds == 2]).any() and np.isnan(color[kinds == 5]).all()
     assert (color[kinds == 2].std(axis=0) > 0.001).all()
-    flags = ("--resume", "--set", "appearance.color_transfer=off")
-    job = go(scene, tmp_path / "half", 2, *flags, code=2)
-    assert "color_transfer: is 'off', in the run so far 'step'" in job.stderr
-    flags = (*flags, "--change")
-    job = go(scene, tmp_path / "half", 2, *flags, code=2)
-    said = [line for line in job.stderr.splitlines() if "checkpoint_" in line]
-    assert len(said) == 1, job.stderr
+    words = [str(scene), "-q", "-o", str(tmp_path / "half"), "--resume"]
+    words += ["--set", "appearance.color_transfer=off"]
+    assert cli.main(words) == 2
+    assert "color_transfer: is 'off', in the run so far 'step'" in capsys.readouterr().err
+    assert cli.main([*words, "--change"]) == 2
+    printed = capsys.readouterr().err
+    said = [line for line in printed.splitlines() if "checkpoint_" in line]
+    assert len(said) == 1, printed
     assert "carries 5 numbers besides its motion, in this scene 2 (" in said[0]
 
 
@@ -88,9 +90,10 @@ def same_everywhere(scene, tmp_path):
     assert {name: found.get(name) for name in frames} == frames
 
 
+@pytest.mark.mpi
 def test_every_law(tmp_path):
     assert set(LAWS) == set(registry)
     scene = write(tmp_path, every_law("single"))
     want = bits(scene, tmp_path / "1", 1)
-    for n in (2, 3):
-        assert bits(scene, tmp_path / str(n), n) == want, n
+    for start, n in ((run_here, 2), (go, 3)):
+        assert bits(scene, tmp_path / str(n), n, start=start) == want, n

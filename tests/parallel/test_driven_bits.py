@@ -12,13 +12,11 @@ from tests.support.file_digests import (
     frame_digests,
     run_on_one_rank,
 )
-from tests.support.launch import go
+from tests.support.simulated_runs import run_here
 from tests.support.small_scenes import MIXED
 from vgmpi.io import checkpoint
 from vgmpi.io.csv_log import read_rows
 from vgmpi.solver.restart.checkpoint_validation import Mismatch, check_attrs
-
-pytestmark = pytest.mark.mpi
 
 SCENE = (
     MIXED.replace("PRECISION", "single")
@@ -66,9 +64,9 @@ def test_they_are_let_go(one):
 
 
 @RANKS_AND_THREADS
-def test_ranks_and_threads(one, ranks, flags, tmp_path):
+def test_ranks_and_threads(one, start, ranks, flags, tmp_path):
     scene, want, _ = one
-    assert_same_files(scene, want, tmp_path, ranks, *flags)
+    assert_same_files(scene, want, tmp_path, start, ranks, *flags)
 
 
 def test_stop_and_resume(one, tmp_path):
@@ -76,11 +74,11 @@ def test_stop_and_resume(one, tmp_path):
     scene, want, out = one
     steps = {row["step"]: row["time"] for row in read_rows(out / "ledger.csv")}
     stop = next(step for step, time in steps.items() if time > 0.019)
-    go(scene, tmp_path, 3, "--stop-after", f"{stop + 7} steps", code=75)
+    run_here(scene, tmp_path, 3, "--stop-after", f"{stop + 7} steps", code=75)
     path = max((tmp_path / "checkpoints").glob("*.h5"))
     with checkpoint.open(path) as saved:
         assert 0 < saved.attrs["since"] < saved.attrs["step"]
         with pytest.raises(Mismatch, match="since cannot be -1"):
             check_attrs(path, saved.attrs | {"since": -1})
-    go(scene, tmp_path, 2, "--resume")
+    run_here(scene, tmp_path, 2, "--resume")
     assert frame_digests(digests(tmp_path)) == frame_digests(want)

@@ -7,6 +7,7 @@ import pytest
 
 from tests.support.damaged_files import forge
 from tests.support.launch import ROOT, mpirun, run
+from tests.support.simulated_runs import run_here
 from tests.support.small_scenes import MIXED, write
 from vgmpi.io.run_reader import RunReader
 
@@ -20,8 +21,7 @@ JOB = ("-m", "tests.parallel.broken_job")
 def compiled(tmp_path_factory):
     """Compile once, so that the time limits below hold."""
     folder = tmp_path_factory.mktemp("warm")
-    job = mpirun(1, "-m", "vgmpi", write(folder, SCENE), "-q", "--stop-after", "1 step")
-    assert job.returncode == 75, job.stderr
+    run_here(write(folder, SCENE), folder / "out", 1, "--stop-after", "1 step", code=75)
 
 
 def test_an_exception_on_one_rank_ends_all(tmp_path):

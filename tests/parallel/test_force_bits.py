@@ -13,10 +13,8 @@ from tests.support.file_digests import (
     digests,
     run_on_one_rank,
 )
-from tests.support.launch import go
+from tests.support.simulated_runs import run_here
 from vgmpi.scene.probes import WALL_NAMES
-
-pytestmark = pytest.mark.mpi
 
 COLLIDERS = ("post", "paddle", "roller")
 ASKED = SCENE + "".join(
@@ -50,17 +48,17 @@ def test_they_are_felt(one):
 
 
 @RANKS_AND_THREADS
-def test_ranks_and_threads(one, ranks, flags, tmp_path):
+def test_ranks_and_threads(one, start, ranks, flags, tmp_path):
     scene, want, _ = one
-    assert_same_files(scene, want, tmp_path, ranks, *flags)
+    assert_same_files(scene, want, tmp_path, start, ranks, *flags)
 
 
 def test_stop_and_resume(one, tmp_path):
     """Between two rows: what was given since the last one is in the checkpoint."""
     scene, want, out = one
     stop = int(column(out, "paddle", "step")[-1]) // 2 + 1
-    go(scene, tmp_path, 2, "--stop-after", f"{stop} steps", code=75)
-    go(scene, tmp_path, 1, "--resume")
+    run_here(scene, tmp_path, 2, "--stop-after", f"{stop} steps", code=75)
+    run_here(scene, tmp_path, 1, "--resume")
     found = digests(tmp_path)
     rows = [name for name in want if name.startswith("probe_")]
     assert len(rows) == 10

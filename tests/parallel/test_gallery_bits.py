@@ -6,10 +6,8 @@ from pathlib import Path
 import pytest
 
 from tests.support.file_digests import digests
-from tests.support.launch import go
+from tests.support.simulated_runs import run_here
 from vgmpi.io.csv_log import read_rows
-
-pytestmark = pytest.mark.mpi
 
 RUNS = Path(__file__).resolve().parents[2] / "runs"
 SHORT = ("--set", "time.end=0.04", "--set", "time.frames=2")
@@ -39,7 +37,7 @@ def test_the_same_bits(name, tmp_path):
     found, cell = [], 2 if name in FINER else 4
     for n in (1, 3):
         flags = ("--set", f"domain.cell={cell} cm", *SHORT)
-        go(RUNS / name / "scene.toml", tmp_path / str(n), n, *flags)
+        run_here(RUNS / name / "scene.toml", tmp_path / str(n), n, *flags)
         found.append(digests(tmp_path / str(n)))
     assert found[0] == found[1]
     rows = read_rows(tmp_path / "1" / "ledger.csv")

@@ -14,8 +14,6 @@ from tests.support.simulate import advance, begin, by_id
 from vgmpi.features.implicit_pressure import coupling as implicit_pressure
 from vgmpi.features.implicit_pressure import pressure_system
 
-pytestmark = pytest.mark.mpi
-
 # two columns that meet: both halves of the tank have moving blocks, and ranks exchange cells
 SCENE = """
 [domain]
@@ -51,8 +49,8 @@ def one(request, tmp_path_factory):
 
 
 @RANKS_AND_THREADS
-def test_any_ranks_and_threads(one, tmp_path, ranks, flags):
-    assert_same_files(*one, tmp_path / "out", ranks, *flags)
+def test_any_ranks_and_threads(one, tmp_path, start, ranks, flags):
+    assert_same_files(*one, tmp_path / "out", start, ranks, *flags)
 
 
 def test_a_restart(one, tmp_path):

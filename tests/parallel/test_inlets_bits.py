@@ -12,10 +12,8 @@ from tests.support.file_digests import (
     digests,
     run_on_one_rank,
 )
-from tests.support.launch import go
+from tests.support.simulated_runs import run_here
 from tests.support.small_scenes import MIXED, write
-
-pytestmark = pytest.mark.mpi
 
 # one that pours aslant, later than the start and not to the end, one that always pours, onto bodies
 # of all kinds; outlets where what falls and what flows comes by
@@ -107,9 +105,9 @@ def test_something_comes_and_goes(one):
 
 
 @RANKS_AND_THREADS
-def test_ranks_and_threads(one, ranks, flags, tmp_path):
+def test_ranks_and_threads(one, start, ranks, flags, tmp_path):
     scene, want, _ = one
-    assert_same_files(scene, want, tmp_path, ranks, *flags)
+    assert_same_files(scene, want, tmp_path, start, ranks, *flags)
 
 
 def test_stop_and_resume(one, tmp_path):
@@ -117,8 +115,8 @@ def test_stop_and_resume(one, tmp_path):
     and the last checkpoint."""
     scene, want, _ = one
     stop = int(fluid(one[2])[-1]["step"]) // 2 + 1
-    go(scene, tmp_path, 3, "--stop-after", f"{stop} steps", code=75)
-    go(scene, tmp_path, 2, "--resume")
+    run_here(scene, tmp_path, 3, "--stop-after", f"{stop} steps", code=75)
+    run_here(scene, tmp_path, 2, "--resume")
     found = digests(tmp_path)
     last = max(name.partition(".")[0] for name in want if "checkpoint_" in name)
     same = ("frame_", "ledger", "gaussians", last)
@@ -131,12 +129,12 @@ def test_resume_where_segments_are_empty(tmp_path):
     """An outlet emptied segments since the last sort: what follows from where these are does not
     change."""
     scene = write(tmp_path, EMPTIES)
-    go(scene, tmp_path / "one", 1)
+    run_here(scene, tmp_path / "one", 1)
     want, out = digests(tmp_path / "one"), tmp_path / "stopped"
-    go(scene, out, 2, "--stop-after", "49 steps", code=75)
+    run_here(scene, out, 2, "--stop-after", "49 steps", code=75)
     with h5py.File(max((out / "checkpoints").glob("*.h5"))) as f:
         assert any((f[group]["count"][:] == 0).any() for group in f if group.startswith("group"))
-    go(scene, out, 1, "--resume")
+    run_here(scene, out, 1, "--resume")
     found, last = digests(out), max(name.partition(".")[0] for name in want if "checkpoint" in name)
     kept = {k: v for k, v in want.items() if any(w in k for w in ("frame_", "ledger", last))}
     assert len(kept) >= 7 and {name: found.get(name) for name in kept} == kept

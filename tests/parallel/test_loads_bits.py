@@ -11,12 +11,10 @@ from tests.support.file_digests import (
     digests,
     run_on_one_rank,
 )
-from tests.support.launch import go
+from tests.support.simulated_runs import run_here
 from tests.support.small_scenes import MIXED
 from vgmpi.io import csv_log, file_layout
 from vgmpi.parallel.communicator import SerialCommunicator
-
-pytestmark = pytest.mark.mpi
 
 # loads on part of a body, on two bodies of one phase, on a face; all kinds of probes, one of them
 # at every step
@@ -103,9 +101,9 @@ def test_there_is_something_to_measure(one):
 
 
 @RANKS_AND_THREADS
-def test_ranks_and_threads(one, ranks, flags, tmp_path):
+def test_ranks_and_threads(one, start, ranks, flags, tmp_path):
     scene, want, _ = one
-    assert_same_files(scene, want, tmp_path, ranks, *flags)
+    assert_same_files(scene, want, tmp_path, start, ranks, *flags)
 
 
 def test_stop_and_resume(one, tmp_path):
@@ -114,7 +112,7 @@ def test_stop_and_resume(one, tmp_path):
     scene, want, out = one
     stop = int(rows(out, "cube")[-1]["step"]) // 3
     assert 0.012 < float(rows(out, "cube")[stop]["time"]) < 0.028
-    go(scene, tmp_path, 3, "--stop-after", f"{stop} steps", code=75)
+    run_here(scene, tmp_path, 3, "--stop-after", f"{stop} steps", code=75)
     # a kill after the checkpoint
     columns = file_layout.PROBE_COLUMNS["object"]
     table = csv_log.CsvLog(
@@ -123,7 +121,7 @@ def test_stop_and_resume(one, tmp_path):
     table.append([{d.name: 1.0 for d in columns} | {"time": 0.05, "step": stop + 1}])
     with open(table.path, "a") as f:
         f.write("0.05,99")
-    go(scene, tmp_path, 2, "--resume")
+    run_here(scene, tmp_path, 2, "--resume")
     found = digests(tmp_path)
     same = ("frame_", "ledger", "probe_")
     frames = {name: sha for name, sha in want.items() if any(word in name for word in same)}

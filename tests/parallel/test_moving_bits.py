@@ -12,10 +12,8 @@ from tests.support.file_digests import (
     frame_digests,
     run_on_one_rank,
 )
-from tests.support.launch import go
+from tests.support.simulated_runs import run_here
 from tests.support.small_scenes import MIXED
-
-pytestmark = pytest.mark.mpi
 
 SCENE = (
     MIXED.replace("PRECISION", "single")
@@ -61,15 +59,15 @@ def test_they_move(one):
 
 
 @RANKS_AND_THREADS
-def test_ranks_and_threads(one, ranks, flags, tmp_path):
+def test_ranks_and_threads(one, start, ranks, flags, tmp_path):
     scene, want, _ = one
-    assert_same_files(scene, want, tmp_path, ranks, *flags)
+    assert_same_files(scene, want, tmp_path, start, ranks, *flags)
 
 
 def test_stop_and_resume(one, tmp_path):
     """Stopped on three ranks in the middle of both motions, then on with two."""
     scene, want, out = one
     stop = int(poses(out, 3)[1]) // 2
-    go(scene, tmp_path, 3, "--stop-after", f"{stop} steps", code=75)
-    go(scene, tmp_path, 2, "--resume")
+    run_here(scene, tmp_path, 3, "--stop-after", f"{stop} steps", code=75)
+    run_here(scene, tmp_path, 2, "--resume")
     assert frame_digests(digests(tmp_path)) == frame_digests(want)

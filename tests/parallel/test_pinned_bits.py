@@ -11,8 +11,6 @@ from tests.support.file_digests import (
     run_on_one_rank,
 )
 
-pytestmark = pytest.mark.mpi
-
 ROOM = """
 [domain]
 size = ["32 cm", "16 cm", "24 cm"]
@@ -97,8 +95,8 @@ def one(request, tmp_path_factory):
 
 
 @RANKS_AND_THREADS
-def test_any_ranks_and_threads(one, tmp_path, ranks, flags):
-    assert_same_files(*one, tmp_path / "out", ranks, *flags)
+def test_any_ranks_and_threads(one, tmp_path, start, ranks, flags):
+    assert_same_files(*one, tmp_path / "out", start, ranks, *flags)
 
 
 def test_a_restart(one, tmp_path):

@@ -4,10 +4,8 @@ for any number of ranks, and after a restart."""
 import pytest
 
 from tests.support.file_digests import assert_same_files, digests, frame_digests, run_on_one_rank
-from tests.support.launch import go
+from tests.support.simulated_runs import run_here
 from vgmpi.io.run_reader import RunReader
-
-pytestmark = pytest.mark.mpi
 
 SCENE = """
 [domain]
@@ -54,12 +52,12 @@ def test_what_is_cut_out(one):
 
 def test_three_ranks(one, tmp_path):
     scene, want, _ = one
-    assert_same_files(scene, want, tmp_path, 3)
+    assert_same_files(scene, want, tmp_path, run_here, 3)
 
 
 def test_stop_and_resume(one, tmp_path):
     scene, want, out = one
     stop = RunReader(out).time_and_step(2)[1] // 2
-    go(scene, tmp_path, 3, "--stop-after", f"{stop} steps", code=75)
-    go(scene, tmp_path, 2, "--resume")
+    run_here(scene, tmp_path, 3, "--stop-after", f"{stop} steps", code=75)
+    run_here(scene, tmp_path, 2, "--resume")
     assert frame_digests(digests(tmp_path)) == frame_digests(want)

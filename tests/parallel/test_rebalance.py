@@ -28,7 +28,7 @@ def forced(scene, out, n):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("precision", ["single", "double"])
+@pytest.mark.parametrize("precision", ["single", pytest.param("double", marks=pytest.mark.slow)])
 def test_forced_at_every_sort(precision, tmp_path):
     scene = write(tmp_path, MIXED.replace("PRECISION", precision))
     want, sorts, _ = forced(scene, tmp_path / "one", 1)

@@ -12,10 +12,8 @@ from tests.support.file_digests import (
     frame_digests,
     run_on_one_rank,
 )
-from tests.support.launch import go
+from tests.support.simulated_runs import run_here
 from tests.support.small_scenes import MIXED, SHARED, every_law, write
-
-pytestmark = pytest.mark.mpi
 
 SINGLE = MIXED.replace("PRECISION", "single")
 # free rigid bodies that touch water, each other and a wall
@@ -369,8 +367,8 @@ def one(request, tmp_path_factory):
     slow("fields of laws"),
 )
 @RANKS_AND_THREADS
-def test_any_ranks_and_threads(one, tmp_path, ranks, flags):
-    assert_same_files(*one, tmp_path / "out", ranks, *flags)
+def test_any_ranks_and_threads(one, tmp_path, start, ranks, flags):
+    assert_same_files(*one, tmp_path / "out", start, ranks, *flags)
 
 
 @on("bodies alone")
@@ -378,7 +376,7 @@ def test_any_ranks_and_threads(one, tmp_path, ranks, flags):
     "ranks, flags", [(2, []), (3, []), (1, ["--threads", "2"]), (1, ["--engine", "numpy"])]
 )
 def test_any_ranks_threads_and_engines(one, tmp_path, ranks, flags):
-    assert_same_files(*one, tmp_path / "out", ranks, *flags)
+    assert_same_files(*one, tmp_path / "out", run_here, ranks, *flags)
 
 
 @pytest.mark.parametrize(
@@ -394,7 +392,7 @@ def test_a_restart(one, tmp_path, steps):
 @on("dilatation")
 def test_the_dilatation_by_cells_is_another_motion(one, tmp_path):
     """A scene without the key gives other frames: what is compared above is the dilatation's."""
-    go(write(tmp_path, SINGLE), tmp_path / "plain", 1)
+    run_here(write(tmp_path, SINGLE), tmp_path / "plain", 1)
     plain, cells = frame_digests(digests(tmp_path / "plain")), frame_digests(one[1])
     assert plain.keys() == cells.keys() and plain != cells
 

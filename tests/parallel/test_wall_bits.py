@@ -4,8 +4,6 @@ import pytest
 
 from tests.support.file_digests import RANKS_AND_THREADS, assert_same_files, run_on_one_rank
 
-pytestmark = pytest.mark.mpi
-
 SCENE = """
 [domain]
 size = [0.36, 0.2, 0.22]
@@ -40,5 +38,5 @@ def one(tmp_path_factory):
 
 
 @RANKS_AND_THREADS
-def test_any_ranks_and_threads(one, tmp_path, ranks, flags):
-    assert_same_files(*one, tmp_path / "out", ranks, *flags)
+def test_any_ranks_and_threads(one, tmp_path, start, ranks, flags):
+    assert_same_files(*one, tmp_path / "out", start, ranks, *flags)

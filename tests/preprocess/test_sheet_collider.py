@@ -1,5 +1,6 @@
 """Open meshes as colliders: a wall of half a cell, whose two sides are kept apart."""
 
+import functools
 import logging
 
 import numpy as np
@@ -48,6 +49,12 @@ def collider_of(mesh):
     return SheetCollider.from_triangles("sheet", mesh.corners(), DX)
 
 
+@functools.cache
+def shell_of(name):
+    """The shell of a sheet, stored whole."""
+    return thin_shell(collider_of(SHEETS[name]), DX)
+
+
 @pytest.mark.parametrize("cuts", [1, 40])
 def test_distance_of_a_square(cuts):
     """Of large and of small triangles: that to a square, less half of half a cell."""
@@ -71,8 +78,7 @@ def test_distance_of_a_square(cuts):
 @pytest.mark.parametrize("name", ["bowl", "box"])
 def test_what_is_far_outside_the_domain_is_not_stored(name):
     """What is stored is the same; a collider outside the domain is stored whole."""
-    collider = collider_of(SHEETS[name])
-    every = thin_shell(collider, DX)
+    collider, every = collider_of(SHEETS[name]), shell_of(name)
     middle = every.start + DX / 4 * np.array(every.front.shape)
     domain = middle - 0.03, middle + np.array([0.05, 0.04, 0.03])
     part = thin_shell(collider, DX, domain)
@@ -93,9 +99,8 @@ def test_what_is_far_outside_the_domain_is_not_stored(name):
 def test_the_two_sides_are_told_apart_up_to_the_edge(name):
     """Points a cell off a face see one side all over the sheet and the other one behind it; what
     lies beyond the edge has no side."""
-    mesh = SHEETS[name]
+    mesh, shell = SHEETS[name], shell_of(name)
     collider = collider_of(mesh)
-    shell = thin_shell(collider, DX)
     random = np.random.default_rng(5)
     corner = mesh.corners()
     cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])

@@ -6,17 +6,20 @@ import h5py
 import pytest
 
 from tests.support.launch import go
+from tests.support.simulated_runs import run_here
 from tests.support.small_scenes import write
 
-# Ways to run a scene beside one rank with one thread: one that has several of both, and the others
-# where time does not count. A restart (assert_same_after_stop) goes from two ranks to three.
+# Ways to run a scene beside one rank with one thread: on simulated ranks that have several of both,
+# and on those of mpirun where time does not count. tests/parallel/test_bits.py and test_bits_all.py
+# have mpirun always. A restart (assert_same_after_stop) goes from two ranks to three.
 RANKS_AND_THREADS = pytest.mark.parametrize(
-    "ranks, flags",
+    "start, ranks, flags",
     [
-        (3, ("--threads", "2")),
+        (run_here, 3, ("--threads", "2")),
         *(
-            pytest.param(ranks, flags, marks=pytest.mark.slow)
-            for ranks, flags in ((1, ("--threads", "2")), (2, ()), (3, ()), (4, ()), (7, ()))
+            pytest.param(go, ranks, flags, marks=(pytest.mark.slow, pytest.mark.mpi))
+            for flags in ((), ("--threads", "2"))
+            for ranks in ((1, 3) if flags else (2, 3, 4, 7))
         ),
     ],
 )
@@ -61,18 +64,21 @@ def frame_digests(found: dict[str, str]) -> dict[str, str]:
 def run_on_one_rank(folder, text):
     """(scene, digests of the files) of a run of a scene's text, in `folder`/one."""
     scene = write(folder, text)
-    go(scene, folder / "one", 1)
+    run_here(scene, folder / "one", 1)
     return scene, digests(folder / "one")
 
 
-def assert_same_files(scene, expected, folder, ranks, *flags):
-    """A run on so many ranks writes the files of `expected`, to the bit."""
-    go(scene, folder, ranks, *flags)
+def assert_same_files(scene, expected, folder, start, ranks, *flags):
+    """A run on so many ranks writes the files of `expected`, to the bit.
+
+    start: `go` for ranks of mpirun, `run_here` for simulated ones.
+    """
+    start(scene, folder, ranks, *flags)
     assert digests(folder) == expected
 
 
 def assert_same_after_stop(scene, expected, folder, steps):
     """A run that stops on two ranks after some steps and goes on with three has the same frames."""
-    go(scene, folder, 2, "--stop-after", f"{steps} steps", code=75)
-    go(scene, folder, 3, "--resume")
+    run_here(scene, folder, 2, "--stop-after", f"{steps} steps", code=75)
+    run_here(scene, folder, 3, "--resume")
     assert frame_digests(digests(folder)) == frame_digests(expected)
