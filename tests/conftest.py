@@ -1,13 +1,15 @@
 """The parts `make test` and `make check`, the costs of each test, and what commands that ran in the
 tests' own process have set for the life of a program."""
 
+import gc
 import logging
 import signal
 
 import pytest
 
 from tests.support import long_tests
-from tests.support.cost_counter import COSTS, count_processes
+from tests.support.cost_counter import COSTS, count_processes, processor_seconds
+from vgmpi.__main__ import NEW_OBJECTS
 
 SIGNALS = (signal.SIGUSR1, signal.SIGTERM, signal.SIGHUP, signal.SIGXCPU)
 # who runs all this under `nohup` has SIGHUP ignored, which every process inherits
@@ -17,8 +19,10 @@ for _number in SIGNALS:
 HEARD = {s: signal.getsignal(s) for s in SIGNALS}
 # and behind `&` in a script SIGINT
 HEARD[signal.SIGINT] = signal.default_int_handler
+NEGLIGIBLE = 0.005  # [s] of processor time: what a phase may spend untold
 
 count_processes()
+gc.set_threshold(NEW_OBJECTS)  # as in the program
 
 
 def pytest_addoption(parser):
@@ -45,15 +49,22 @@ def pytest_collection_modifyitems(config, items):
     items[:] = [item for item in items if item.nodeid in chosen]
 
 
+def pytest_collection_finish(session):
+    """Count from here on; what collecting made is never searched for cycles."""
+    gc.collect()
+    gc.freeze()
+    session.config._costs_before = *COSTS(), processor_seconds()
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item, call):
-    """Write what each phase of a test compiles and starts into the report."""
-    seconds, processes = COSTS()
-    before = getattr(item.config, "_costs_before", (0.0, 0))
-    item.config._costs_before = (seconds, processes)
-    spent = seconds - before[0], processes - before[1]
-    if any(spent):
-        item.user_properties.append((f"costs {call.when}", f"{spent[0]:.2f} {spent[1]}"))
+    """Write what each phase of a test compiles, starts and computes into the report."""
+    costs = *COSTS(), processor_seconds()
+    before, item.config._costs_before = item.config._costs_before, costs
+    compiling, processes, computing = (now - then for now, then in zip(costs, before))
+    if processes or computing > NEGLIGIBLE:
+        text = f"{compiling:.2f} {processes} {computing:.2f}"
+        item.user_properties.append((f"costs {call.when}", text))
     return (yield)
 
 

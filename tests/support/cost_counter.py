@@ -1,9 +1,10 @@
-"""What a test costs besides its own work: seconds of compiling and processes started.
+"""What a test costs: compiling, processes started, processor time, that of processes included.
 
-tests/conftest.py writes both beside the duration into the file of `pytest --junitxml`;
+tests/conftest.py writes them beside the duration into the file of `pytest --junitxml`;
 `python -m tests.benchmarks test-times FILE` adds them up by file.
 """
 
+import os
 import subprocess
 import sys
 import time
@@ -52,7 +53,13 @@ class CostCounter:
         return self.compile_seconds, self.processes
 
 
-COSTS = CostCounter()
+COSTS = CostCounter(time.process_time)
+
+
+def processor_seconds() -> float:
+    """Return the processor time of this process and of all processes that ended below it [s]."""
+    spent = os.times()
+    return spent.user + spent.system + spent.children_user + spent.children_system
 
 
 class _CountedPopen(subprocess.Popen):
