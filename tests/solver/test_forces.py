@@ -335,7 +335,7 @@ def test_where_particles_go_the_balance_alone_is_refused(tmp_path):
         vgmpi.load(tmp_path / "scene.toml", text=f'{open_end}{asks}"all"\n')
     assert any("wall" in line and "balance" in line for line in caught.value.lines)
     scene = vgmpi.load(tmp_path / "scene.toml", text=f'{open_end}{asks}"bottom"\n')
-    assert scene.probe[0].feels
+    assert scene.probe[0].measures_reaction
     held = open_end.replace(', east = "open"', "") + 'release_time = "1 s"\n'
     with pytest.raises(SceneError) as caught:
         vgmpi.load(

@@ -14,7 +14,7 @@ STARTS: dict[str, tuple[str, str] | None] = {
     "pinned_parts": None,
     "rigid_bodies": None,
     "prescribed_motion": ("prescribed_motion.coupling", "start"),
-    "reactions": ("reactions.coupling", "start"),
+    "reactions": None,
     "inlets": ("inlets_outlets.coupling", "start_inlets"),
     "outlets": ("inlets_outlets.coupling", "start_outlets"),
     "releases": ("releases.coupling", "start"),

@@ -8,7 +8,7 @@ import numpy as np
 from vgmpi.scene.scene_feature import features
 
 from .prescribed_bodies import PrescribedBodyPlan
-from .step_costs import StageCost
+from .step_costs import ProximityCost, StageCost
 
 
 class BodyPart(NamedTuple):
@@ -41,6 +41,7 @@ class FeaturePlan:
         reads_all_nodes: Whether it needs contributions also at nodes that touch no such collider.
         adhesion: Adhesion of flows to each collider, or None if they slip freely on all.
         numbers_colliders: Whether it must know which collider a node is close to.
+        collider_cost: What it costs close to colliders, besides these, relative to a fluid's step.
         moved_colliders: Number of colliders that it moves by what acts on them.
         collider_title: What reports call these.
         counted: What reports count where there are no particles: number, singular, plural.
@@ -60,6 +61,7 @@ class FeaturePlan:
     reads_all_nodes = False
     phases_in_contact: frozenset[int] = frozenset()
     adhesion: Adhesion | None = None
+    collider_cost: ProximityCost | None = None
     moved_colliders = added_phases = 0
     step_seconds = 0.0
     collider_title = step_limit = ""

@@ -115,7 +115,6 @@ class Plan:
     driven: tuple[PrescribedBodyPlan, ...] = ()
     features: tuple[FeaturePlan, ...] = ()  # optional features, in the order in which they act
     opens: tuple[float | None, ...] = (None,) * 6  # [s] when each wall vanishes
-    feels: bool = False  # reaction impulses of each collider and wall are summed
     holding_walls: tuple[str, ...] = ()  # slip walls that also hold back the bodies on them
     regions: tuple[RegionPlan, ...] = ()  # parts of bodies of another material, if known
 
@@ -126,8 +125,7 @@ class Plan:
     @property
     def numbers_colliders(self) -> bool:
         """True if the solver must know which collider a node is close to."""
-        by_features = any(feature.numbers_colliders for feature in self.features)
-        return self.feels or by_features
+        return any(feature.numbers_colliders for feature in self.features)
 
     @property
     def has_releases(self) -> bool:
@@ -293,7 +291,6 @@ def make_plan(
         gravity_ramp_time=scene.domain.gravity_ramp_time,
         gravity_keys=gravity_keys(scene.domain), features=features, opens=tuple(scene.domain.opens),
         sources=inlet_plans(scene, group_of, count), sinks=outlet_plans(scene), driven=driven,
-        feels=any(probe.feels for probe in scene.probe),
     )  # fmt: skip
     _check_steps(scene, plan)
     return plan

@@ -61,7 +61,6 @@ class StepCosts(NamedTuple):
     collider: ProximityCost  # colliders at rest
     moving_collider: ProximityCost  # in addition, if a collider moves
     coupled_collider: ProximityCost  # colliders that what flows moves
-    probe: ProximityCost  # in addition, if a probe measures reaction forces
     block: StageCost  # a block without its particles, and the disorder of partly filled blocks
 
 
@@ -89,6 +88,5 @@ COSTS = StepCosts(
     collider=ProximityCost(StageCost(0.1, 0.1, 0.05), StageCost(50.0, 170.0, 20.0)),
     moving_collider=ProximityCost(StageCost(0.05, 0.1, 0.05), StageCost(0.0, 100.0)),
     coupled_collider=ProximityCost(StageCost(0.1, 0.1, 0.1), StageCost(30.0, 30.0, 30.0)),
-    probe=ProximityCost(StageCost(0.0, 0.05), StageCost(0.0, 60.0)),
     block=StageCost(75.0, 40.0, 75.0, 6.0),
 )

@@ -74,7 +74,7 @@ class Probe(StrictModel):
         return "rigid body" if is_rigid else self.kind
 
     @property
-    def feels(self) -> bool:
+    def measures_reaction(self) -> bool:
         """Return whether it measures the reaction of a collider or of a single wall."""
         return self.collider is not None or self.wall in WALL_NAMES
 

@@ -147,7 +147,7 @@ def obstacles(
             if scene.lists[name]:
                 _refuse((name, 0), feature.title)
     for k, probe in enumerate(scene.probe):
-        if probe.feels:
+        if probe.measures_reaction:
             key = "wall" if probe.wall else "collider"
             _refuse(("probe", k, key), "probes of forces on a wall or collider")
     kinds = {kind for kind, _ in scene.domain.walls}

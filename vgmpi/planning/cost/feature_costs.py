@@ -143,8 +143,8 @@ def _colliders(scene: Scene, plan: Plan, g: int, fluid: float, costs: StepCosts)
         if feature.moved_colliders:
             title = _with_percentage(feature.collider_title, share)
             cost_by_name[title] = costs.coupled_collider
-    if plan.feels:
-        cost_by_name["probes of what colliders give"] = costs.probe
+        if feature.collider_cost is not None:
+            cost_by_name[feature.title] = feature.collider_cost
     blocks = sum(plan.surroundings[k].blocks for k in rows) / sum(plan.count[k] for k in rows)
     return [
         Feature(name, fluid * share * (cost.particle + blocks * cost.block), 0, 2)
