@@ -303,12 +303,12 @@ FEATURES = {
     "a solid to which it sticks": (
         PLAIN.replace("tait_coefficient", "viscosity = 1\ntait_coefficient", 1)
         + RUBBER + BESIDE + "slip_length = 0\n",
-        {"engine.layers.offsets", "features.solid_slip", "needs.fields", "needs.sticking", *(
+        {"engine.layers.offsets", "features.surface_slip", "needs.fields", "needs.in_contact", *(
             f"{owner}.velocity gradient {a}"
             for owner in ("engine.layers", "tables.asked", "tables.contributes") for a in "xyz"
         )},
         {"ElasticLaw", "SurfaceDistance", "Offsets", "VelocityGradient", "NodesOfPhases",
-         "SolidSlipLaw", "SlipLaw", "apply_solid_slip"},
+         "SolidSlipLaw", "AdhesionLaw", "apply_solid_slip"},
     ),
     "a collider": (PLAIN + POST, {"engine.layers.offsets", "collider_nodes"}, {"Offsets"}),
     "a moving collider": (
@@ -327,7 +327,7 @@ FEATURES = {
     ),
     "a thin wall": (
         PLAIN + POST.replace("[0.24,", "[0.2,") + "thin = true\n",
-        {"engine.layers.offsets", "collider_nodes"},
+        {"engine.layers.offsets", "collider_nodes", "features.thin_walls"},
         {"Offsets", "SidedPhases"},
     ),
     "an implicit pressure": (

@@ -1,6 +1,6 @@
 """Nodes next to rigid surfaces, in the layout of the kernels that couple them with the grid.
 
-Slip, free rigid bodies and other features act on nodes and not on particles (kernels/rigid). Every
+Slip, free rigid bodies and other features act on nodes and not on particles. Every
 engine calls the same kernels for them. Here the dense arrays of the reference engine are copied to
 node blocks and back; the nodal fields of these kernels are sums over dense arrays as all others.
 """
