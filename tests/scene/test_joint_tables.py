@@ -134,7 +134,7 @@ def test_what_is_refused(tmp_path, old, new, message):
 )
 def test_joints_that_add_something_are_accepted(tmp_path, kind, point, more):
     scene = load(tmp_path, SCENE.replace(SPRING, AGAIN.format(kind, point, more), 1))
-    assert len(scene.joint) == 3
+    assert len(scene.lists["joint"]) == 3
 
 
 def test_the_plan_names_them(tmp_path):
@@ -155,7 +155,7 @@ def test_a_resumed_run_keeps_its_joints(tmp_path):
 
 
 def test_units_and_defaults(tmp_path):
-    axle, spring = load(tmp_path, SCENE).joint
+    axle, spring = load(tmp_path, SCENE).lists["joint"]
     assert axle.motor.speed == pytest.approx(6.2831853)
     assert axle.limits == pytest.approx((-0.5235988, 0.5235988))
     assert spring.between == ("cart",) and spring.rest is None and spring.damping == 0.0

@@ -18,7 +18,6 @@ from vgmpi.runtime.message_text import did_you_mean
 from . import accuracy_presets
 from .gravity import validate_gravity
 from .inlets_outlets import Inlet, Outlet, validate_balance, validate_inlet, validate_outlet
-from .joints import joint_names, read_joints
 from .object_files import find_object_file
 from .objects import Object, validate_body_name, validate_object, validate_release
 from .probes import Probe, collider_names, validate_probe
@@ -42,7 +41,7 @@ SCENE_RULES = (
     validate_rigid_scene, validate_region_kinds,
     validate_subtractions,
 )  # fmt: skip
-LISTS = ("object", "coupling", "joint", "probe", "inlet", "outlet")
+LISTS = ("object", "coupling", "probe", "inlet", "outlet")
 
 
 def load(
@@ -107,7 +106,6 @@ class SceneLoader:
             role = {o.name: "rigid" if o.rigid else o.role for o in objects}
             for validate in (*SCENE_RULES, *(feature.check_scene for feature in features())):
                 self.errors += validate(objects, kinds, pairs, tables.get("accuracy"))
-        joints = read_joints(self, data.get("joint", []), objects)
         self.check_color_bodies(tables.get("appearance"), role)
         for inner, message in validate_gravity(data.get("domain", {})):
             self.report(("domain", *inner), message)
@@ -116,10 +114,10 @@ class SceneLoader:
         read = SceneTables(tables, kinds, objects, {}, lambda path: self.source.place(path)[1])
         for feature in features():
             self.lists_of(feature, data, read)
-        colliders, named = collider_names(objects), joint_names(joints)
+        colliders = collider_names(objects)
         probes = self.table_list(
             data.get("probe", []), "probe", Probe,
-            lambda raw, probe: validate_probe(raw, probe, role, size, fluid, colliders, named),
+            lambda raw, probe: validate_probe(raw, probe, role, size, fluid, colliders),
         )  # fmt: skip
         outlets = self.table_list(
             data.get("outlet", []), "outlet", Outlet, lambda raw, _: validate_outlet(raw, inlets)
@@ -139,7 +137,7 @@ class SceneLoader:
             title=top.title, seed=top.seed, material=kinds,
             object=tuple(as_collider(obj, kinds.get(obj.material)) for obj in objects),
             coupling=tuple(pairs), probe=tuple(probes), inlet=tuple(inlets),
-            outlet=tuple(outlets), joint=tuple(joints), files=files,
+            outlet=tuple(outlets), files=files,
             lists={name: tuple(items) for name, items in read.lists.items()}, overrides=overrides,
             source=self.source, **tables,
         )  # fmt: skip
@@ -317,7 +315,8 @@ class SceneLoader:
             raw = data.get(name, [])
             if not isinstance(raw, list) or not all(isinstance(item, dict) for item in raw):
                 self.report((name,), f"must be a list of tables: [[{name}]]")
-                raw = []
+                read.lists[name] = [None]
+                continue
             common, first = tables.tables.get(""), dict[str, int]()
             read.lists[name] = []
             for k, item in enumerate(raw):

@@ -16,7 +16,6 @@ from . import (
     gravity,
     inlet_geometry,
     inlets_outlets,
-    joints,
     objects,
     point_sets,
     probes,
@@ -103,10 +102,6 @@ def scene_reference() -> str:
         parts.append(_section(f"[[object]] {name}", inside))
     for kind, coupling in couplings.registry.items():
         parts.append(_section(f'[[coupling]] kind = "{kind}"', coupling))
-    for kind, joint in joints.JOINTS.items():
-        parts.append(_section(f'[[joint]] kind = "{kind}"', joint))
-    parts.append(_section("[[joint]] motor of a hinge", joints.HingeMotor))
-    parts.append(_section("[[joint]] motor of a slider", joints.SliderMotor))
     parts.append(_section("[[inlet]]", inlets_outlets.Inlet))
     parts.append(_section("[[inlet]] disc", inlet_geometry.Disc))
     parts.append(_section("[[inlet]] rectangle", inlet_geometry.Rectangle))

@@ -103,7 +103,6 @@ def validate_probe(
     size: tuple[float, float, float] | None,
     fluid: bool,
     colliders: list[str] | None,
-    joints: list[str] | None,
 ) -> list[tuple[tuple, str]]:
     """Return (path, message) for errors of one probe besides its values.
 
@@ -114,7 +113,6 @@ def validate_probe(
         size: Size of the domain [m].
         fluid: Whether the scene has a fluid.
         colliders: Names of the colliders, or None if they are unknown.
-        joints: Names of the joints, or None if they are unknown.
     """
     errors = validate_exactly_one(raw, KINDS, "measures nothing")
     if "sampling_rate" not in raw and "sampling_interval" not in raw:
@@ -130,10 +128,6 @@ def validate_probe(
     errors += [(("object",), message)] if message else []
     message = _validate_collider_name(probe.collider, role, colliders)
     errors += [(("collider",), message)] if message else []
-    if probe.joint is not None and joints is not None and probe.joint not in joints:
-        hint = f"known: {', '.join(joints)}" if joints else "none has a name"
-        message = f"there is no joint '{probe.joint}'{did_you_mean(probe.joint, joints)}; {hint}"
-        errors.append((("joint",), message))
     for key in ("pressure", "surface_height", "velocity"):
         point = getattr(probe, key)
         if point is None:

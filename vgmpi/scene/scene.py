@@ -10,7 +10,6 @@ from vgmpi.runtime.config.schema import SceneError
 from vgmpi.runtime.config.toml_source import TomlSource
 
 from .inlets_outlets import Inlet, Outlet
-from .joints import Joint
 from .objects import Object
 from .probes import Probe
 from .scene_feature import features
@@ -23,7 +22,7 @@ DEFAULT_CFL, SMALL_CFL = 0.55, 0.4  # [-] default CFL number, and that of `coura
 class Scene:
     """Content of a scene file with defaults filled in, in SI units.
 
-    `object`, `inlet`, `joint`, `coupling` and the lists of features are in file order; `folder`
+    `object`, `inlet`, `coupling` and the lists of features are in file order; `folder`
     contains the file; `text` is the file's text without the overrides, which `overrides` lists. A
     scene of a table has its values as JSON instead, and the folder in which the program runs.
     """
@@ -41,7 +40,6 @@ class Scene:
     probe: tuple[Probe, ...] = ()
     inlet: tuple[Inlet, ...] = ()
     outlet: tuple[Outlet, ...] = ()
-    joint: tuple[Joint, ...] = ()
     appearance: Appearance = Appearance()
     accuracy: Accuracy = Accuracy()
     output: Output = Output()
@@ -133,7 +131,7 @@ class Scene:
         tables = {name: getattr(self, name).model_dump(mode="json") for name in SECTIONS}
         tables["time"]["cfl"] = self.courant_number
         # Empty lists are left out, as in runs older than these tables.
-        entities = {"inlet": self.inlet, "outlet": self.outlet, "joint": self.joint, **self.lists}
+        entities = {"inlet": self.inlet, "outlet": self.outlet, **self.lists}
         flows = {
             name: [x.model_dump(mode="json", exclude_none=True) for x in items]
             for name, items in entities.items()

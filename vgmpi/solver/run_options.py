@@ -70,7 +70,7 @@ def check_engine(engine: str, scene: Scene) -> None:
     """Raise InvalidRunOptions, which names all of it, if a scene has what its engine lacks."""
     missing = [feature for feature in features() if engine in feature.missing_engines]
     lacks, first = LACKS.get(engine, {}), dict[str, str]()
-    paths: list[tuple] = [("joint", k) for k in range(len(scene.joint))]
+    paths: list[tuple] = [("joint", k) for k in range(len(scene.lists["joint"]))]
     for k, obj in enumerate(scene.object):
         paths += [("object", k, "rigid")] * bool(obj.rigid)
     for path in paths:

@@ -9,7 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from vgmpi.scene.scene_feature import Errors, InitialParticles, SceneFeature
+from vgmpi.scene.scene_feature import (
+    Errors,
+    InitialParticles,
+    SceneFeature,
+    SceneTables,
+    TableList,
+)
+
+from .table import JOINTS, HingeMotor, SliderMotor, validate_joint_probes, validate_joints
 
 log = logging.getLogger("vgmpi")
 MAX_BODY_LENGTH = 4.0  # [-] of a body over the longest edge of the domain
@@ -19,6 +27,27 @@ class RigidBodies(SceneFeature):
     """Free rigid bodies in the tables of a scene."""
 
     name, title = "rigid_bodies", "free rigid bodies"
+    lists = {
+        "joint": TableList(
+            JOINTS, {"motor of a hinge": HingeMotor, "motor of a slider": SliderMotor}
+        )
+    }
+
+    def check_list(self, name: str, raw: list[dict], tables: SceneTables) -> Errors:
+        """Return the errors of the joints.
+
+        Args:
+            name, raw, tables: See `SceneFeature.check_list`.
+        """
+        return validate_joints(tables)
+
+    def check_probes(self, probes: list, tables: SceneTables) -> Errors:
+        """Return the errors of probes that name no joint.
+
+        Args:
+            probes, tables: See `SceneFeature.check_probes`.
+        """
+        return validate_joint_probes(probes, tables.lists["joint"])
 
     def check_size(self, obj: Any, length: float, size: tuple[float, ...]) -> Errors:
         """Return why a body is too large: it is searched as a whole.
@@ -87,7 +116,7 @@ class RigidBodies(SceneFeature):
         from .plan import RigidBodiesPlan
 
         density = {name: body.density for name, body in bodies.items()}
-        return RigidBodiesPlan(density, draft.scene.joint, prepared), draft
+        return RigidBodiesPlan(density, draft.scene.lists["joint"], prepared), draft
 
 
 def _warn_of_distant_joints(scene: Any, colliders: list) -> None:
@@ -98,7 +127,7 @@ def _warn_of_distant_joints(scene: Any, colliders: list) -> None:
         colliders: Its colliders, among them the bodies.
     """
     by_name = {collider.name: collider for collider in colliders}
-    for k, joint in enumerate(scene.joint):
+    for k, joint in enumerate(scene.lists["joint"]):
         bodies = [by_name[name] for name in joint.between if name in by_name]
         bodies = [body for body in bodies if body.body is not None]
         gaps = [float(body.distance(np.array([joint.at]))[0]) for body in bodies]

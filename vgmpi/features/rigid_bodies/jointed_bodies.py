@@ -7,11 +7,11 @@ import numpy as np
 
 from vgmpi.kernels.colliders.moving_colliders import MovingColliders
 from vgmpi.kernels.colliders.sdf_sampling import SampledSdf
-from vgmpi.scene.joints import Hinge, Joint, Slider, Spring, tangents
 
 from . import joint_impulses, joint_rows
 from .free_bodies import FreeBodies, advance_poses, rotation_matrices
 from .joint_rows import Frames, JointTable
+from .table import Hinge, Joint, Slider, Spring, tangents
 
 KINDS = {
     "hinge": joint_rows.HINGE,

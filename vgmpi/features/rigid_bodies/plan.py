@@ -8,7 +8,8 @@ from vgmpi.planning.feature_plan import FeaturePlan
 from vgmpi.planning.plan import Plan
 from vgmpi.preprocess.motion_checks import MIN_THICKNESS_CELLS, is_thin
 from vgmpi.runtime.config.toml_source import escape_control_characters
-from vgmpi.scene.joints import Joint
+
+from .table import Joint
 
 MAX_LINES = 8  # bodies that have a line each; more have one together
 MIN_DENSITY_RATIO = 0.01  # [-] to what a body meets, below which none was tested

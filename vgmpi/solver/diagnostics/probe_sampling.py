@@ -246,9 +246,9 @@ class Probes:
     def joint(self, probe: Probe) -> dict:
         """Measure position, force, torque and motor power of a joint in the last step."""
         bodies: Any = self.simulation.features["rigid_bodies"]
-        names = [joint.name for joint in self.scene.joint]
+        names = [joint.name for joint in self.scene.lists["joint"]]
         state = bodies.joints.state(names.index(probe.joint))
-        is_angle = self.scene.joint[names.index(probe.joint)].kind == "hinge"
+        is_angle = self.scene.lists["joint"][names.index(probe.joint)].kind == "hinge"
         return (
             {"angle": state.coordinate if is_angle else np.nan}
             | {"length": np.nan if is_angle else state.coordinate}

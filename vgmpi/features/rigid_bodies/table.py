@@ -1,18 +1,15 @@
 """Joints of free rigid bodies: hinges, balls, sliders, fixed joints and springs."""
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from vgmpi.runtime.config.schema import Length, Point, Positive, Quantity, StrictModel, as_names
 from vgmpi.runtime.message_text import did_you_mean
-
-from .objects import Object, checked_name
-from .shapes import Axis
-
-if TYPE_CHECKING:
-    from .loader import SceneLoader
+from vgmpi.scene.objects import Object, checked_name
+from vgmpi.scene.scene_feature import Errors, SceneTables
+from vgmpi.scene.shapes import Axis
 
 Angle = Annotated[float, Quantity("rad")]
 RANK_TOLERANCE = 1e-6  # [-] part of the domain's size below which two points are the same
@@ -167,39 +164,45 @@ JOINTS: dict[str, type[Joint]] = {
 }
 
 
-def read_joints(loader: "SceneLoader", raw: Any, objects: list[Object | None]) -> list[Any]:
-    """Return the joints of a scene, None in place of invalid ones, and report their errors.
+def validate_joints(tables: SceneTables) -> Errors:
+    """Return the errors of the joints of a scene, besides the values of their keys.
 
     Args:
-        loader: Loader that collects the errors.
-        raw: List of tables as read.
-        objects: Objects of the scene, None in place of invalid ones.
+        tables: Tables of the scene, with the joints.
     """
-    if not isinstance(raw, list) or not all(isinstance(item, dict) for item in raw):
-        loader.report(("joint",), "must be a list of tables: [[joint]]")
-        return [None]
-    joints = [loader.kind(JOINTS, item, ("joint", k)) for k, item in enumerate(raw)]
-    names: dict[str, int] = {}
-    valid = [obj for obj in objects if obj is not None]
+    errors: Errors = []
+    joints, objects = tables.lists["joint"], tables.objects
+    by_name = {} if None in objects else {obj.name: obj for obj in objects}
     for k, joint in enumerate(joints):
-        loader.check_unique_name("joint", k, raw[k], names)
-        if joint is None or len(valid) < len(objects):
-            continue
-        for path, message in _validate_joint(joint, {obj.name: obj for obj in valid}):
-            loader.report(("joint", k, *path), message)
+        if joint is not None and by_name:
+            errors += [
+                (("joint", k, *path), text) for path, text in _validate_joint(joint, by_name)
+            ]
     for k, first in _redundant_joints(joints):
-        place = loader.source.place(("joint", first))[1]
-        name = joints[first].name
+        place, name = tables.place(("joint", first)), joints[first].name
         which = f"joint {name!r} ({place})" if name else f"the joint at {place}"
-        loader.report(("joint", k), f"{which} holds the same bodies in the same way: leave one out")
-    return joints
+        message = f"{which} holds the same bodies in the same way: leave one out"
+        errors.append((("joint", k), message))
+    return errors
 
 
-def joint_names(joints: list[Any]) -> list[str] | None:
-    """Return the names of the joints that have one, or None if a joint is invalid."""
+def validate_joint_probes(probes: list, joints: list) -> Errors:
+    """Return the errors of probes that name no joint.
+
+    Args:
+        probes: Probes of the scene, None in place of invalid ones.
+        joints: Joints of the scene, likewise.
+    """
     if None in joints:
-        return None
-    return [joint.name for joint in joints if joint.name]
+        return []
+    errors: Errors = []
+    names = [joint.name for joint in joints if joint.name]
+    hint = f"known: {', '.join(names)}" if names else "none has a name"
+    for k, probe in enumerate(probes):
+        if probe is not None and probe.joint is not None and probe.joint not in names:
+            message = f"there is no joint '{probe.joint}'{did_you_mean(probe.joint, names)}; {hint}"
+            errors.append((("probe", k, "joint"), message))
+    return errors
 
 
 def _validate_joint(joint: Joint, objects: dict[str, Object]) -> list[tuple[tuple, str]]:
