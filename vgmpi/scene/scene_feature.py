@@ -22,8 +22,8 @@ from .sections import SECTIONS
 
 # In the order in which they act and plan. It numbers groups and orders sums: part of the results.
 FEATURES = (
-    "loads", "implicit_pressure", "surface_slip", "pinned_parts", "rigid_bodies", "reactions",
-    "thin_walls",
+    "wave_zones", "loads", "implicit_pressure", "surface_slip", "pinned_parts", "rigid_bodies",
+    "reactions", "thin_walls",
 )  # fmt: skip
 
 Errors = list[tuple[tuple, str]]  # (path of a key, message)

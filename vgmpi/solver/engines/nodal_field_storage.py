@@ -134,6 +134,7 @@ def _field_near_surfaces(plan: Plan, name: str) -> FieldRequest:
     module = body_fields if name == "mean pressure" else momentum
 
     def kind(group: GroupPlan) -> tuple | None:
+        """Return the contribution of a group, if any."""
         if name not in near_colliders_of_group(plan, group):
             return None
         if name == "mean pressure":
@@ -150,9 +151,11 @@ def _color_field(plan: Plan, coefficient: int) -> FieldRequest:
     span = plan.colors.span[:, coefficient]
 
     def channel(group: GroupPlan) -> int:
+        """Return the first channel of the values of a group."""
         return group.channels.first("color") + 3 * coefficient
 
     def kind(group: GroupPlan) -> tuple | None:
+        """Return the contribution of a group, if any."""
         has_value = coefficient < group.coefficients and not group.carrier
         return carried_values.kind(plan, channel(group)) if has_value else None
 
