@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from vgmpi.tools.photo import mask_to_mesh
+from vgmpi.tools.photo.photo_camera import View
 
 Y, X = np.mgrid[:160, :200] + 0.5
 DISC = (X - 70) ** 2 + (Y - 80) ** 2 < 50**2
@@ -51,3 +52,18 @@ def test_a_leg_is_as_thick_as_wide_and_its_body_is_not_changed():
     assert leg == pytest.approx(np.full(35, 8.0), rel=0.06)
     assert film[:, 145:180].max() > 1.35 * 8
     assert (half[:, :100] == film[:, :100])[DISC[:, :100]].mean() > 0.99
+
+
+def test_the_rim_of_a_large_body_is_its_outline_and_no_staircase():
+    """A disc of 440 pixels, on lattice points 4.4 pixels apart: its rim stays within a pixel."""
+    y, x = np.mgrid[:900, :1000] + 0.5
+    view = View(1000, 900, 40.0, 0.0)
+    mesh = mask_to_mesh.inflated_surface(np.hypot(x - 500, y - 450) < 440, view)
+    edges = np.sort(mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    half = len(mesh.points) // 2
+    used, count = np.unique(edges[(edges < half).all(1)], axis=0, return_counts=True)
+    rim = np.unique(used[count == 1])  # edges of one triangle of the front
+    pixels, _ = view.pixels(mesh.points[rim])
+    away = np.hypot(*(pixels - (500, 450)).T) - 440
+    print(f"{len(rim)} points, {away.min():.2f} to {away.max():.2f} pixels off the outline")
+    assert len(rim) > 500 and np.abs(away).max() < 1.0

@@ -28,6 +28,7 @@ RADIUS_SMOOTHING = 2.0  # [lattice points] smoothing of the radius where a thin 
 THICKNESS = 0.6  # [-] default depth of an extruded body relative to its width
 _CONE_SLOPE = 0.6  # [-] circles form a cone from this slope on, relative to the line of sight
 OUTLINE_SMOOTHING = 1.0  # [pixels] smoothing of the jagged outline, as the smallest circle counts
+MAX_PULL = 0.8  # [lattice steps] by which a corner of a rim is moved to the outline
 INSET = 0.6  # [pixels] outlines lie this far inside their masks
 _MIN_END_RADIUS = 0.1  # [-] ends thinner than this fraction of the largest radius are cut off
 
@@ -71,12 +72,11 @@ def body(
     Raises:
         BodyError: The mask gives no body by this method.
     """
-    mask = eroded_mask(mask)
     if method == "inflate":
         return _inflated(mask, view)
     if method == "extrude":
-        return _extruded(mask, view, thickness)
-    return _revolved(mask, view)
+        return _extruded(eroded_mask(mask), view, thickness)
+    return _revolved(eroded_mask(mask), view)
 
 
 def inflated_surface(mask: np.ndarray, view: View) -> Mesh:
@@ -87,7 +87,7 @@ def inflated_surface(mask: np.ndarray, view: View) -> Mesh:
     Raises:
         BodyError: The mask gives no body.
     """
-    return _inflated(eroded_mask(mask), view, is_thin=True)
+    return _inflated(mask, view, is_thin=True)
 
 
 def poisson_height(inside: np.ndarray) -> np.ndarray:
@@ -156,10 +156,17 @@ def eroded_mask(mask: np.ndarray) -> np.ndarray:
 
     Gaussians on a rim are seen about that far beyond it.
     """
-    depth = ndimage.distance_transform_edt(mask) - ndimage.distance_transform_edt(~mask)
-    depth = ndimage.gaussian_filter(depth - np.where(mask, 0.5, -0.5), OUTLINE_SMOOTHING)
-    coverage = np.clip(depth - INSET + 0.5, 0, 1)
+    coverage = np.clip(depth_in_mask(mask) - INSET + 0.5, 0, 1)
     return coverage if coverage.max() > 0.9 else mask.astype(np.float64)
+
+
+def depth_in_mask(mask: np.ndarray) -> np.ndarray:
+    """Return how far inside the outline pixels are [pixels], negative outside.
+
+    Input, bool, and output have shape (height, width).
+    """
+    depth = ndimage.distance_transform_edt(mask) - ndimage.distance_transform_edt(~mask)
+    return ndimage.gaussian_filter(depth - np.where(mask, 0.5, -0.5), OUTLINE_SMOOTHING)
 
 
 def inside_mask(mask: np.ndarray, view: View, points: np.ndarray) -> np.ndarray:
@@ -202,6 +209,7 @@ def _inflated(mask: np.ndarray, view: View, is_thin: bool = False) -> Mesh:
 
     The fields lie over the plane that faces the middle of the outline, and share their rim.
     """
+    outline, mask = depth_in_mask(mask), eroded_mask(mask)
     rays = view.rays(np.argwhere(mask > 0.5)[:, ::-1] + 0.5)
     forward = rays.mean(axis=0)
     forward /= np.linalg.norm(forward)
@@ -221,11 +229,30 @@ def _inflated(mask: np.ndarray, view: View, is_thin: bool = False) -> Mesh:
     corner = ndimage.uniform_filter(np.pad(half, 1), 2)[1:, 1:]
     is_complete = ndimage.minimum_filter(np.pad(inside, 1).astype(np.uint8), 2)[1:, 1:] > 0
     corner = np.where(is_complete, corner, 0.0)
+    is_rim = ndimage.maximum_filter(np.pad(inside, 1).astype(np.uint8), 2)[1:, 1:] > is_complete
+    pull = _offset_to_outline(sample_mask(outline, view, corners), step) * is_rim[..., None]
+    corners = corners + pull @ axes
     points = [(corners * (1 + side * corner[..., None])).reshape(-1, 3) for side in (-1, 1)]
     squares = _squares(inside)
     return Mesh(
         np.concatenate(points), np.concatenate([squares, squares[:, ::-1] + len(points[0])])
     )
+
+
+def _offset_to_outline(depth: np.ndarray, step: float) -> np.ndarray:
+    """Return the offsets of corners to the outline, across and up, at most MAX_PULL steps long.
+
+    Without it the rim of a body is a staircase of lattice steps, which are several pixels long in
+    large photographs.
+
+    Args:
+        depth: Distance of the corners inside the outline, shape (rows, columns) [pixels].
+        step: Distance of the corners.
+    """
+    slope = np.stack(np.gradient(depth, step)[::-1], -1)
+    offset = -depth[..., None] * slope / np.maximum((slope**2).sum(-1, keepdims=True), 1e-12)
+    length = np.linalg.norm(offset, axis=-1, keepdims=True)
+    return offset * np.minimum(1.0, MAX_PULL * step / np.maximum(length, 1e-12))
 
 
 def _extruded(mask: np.ndarray, view: View, thickness: float) -> Mesh:
