@@ -24,6 +24,26 @@ def test_features_of_scenes_have_names_of_their_own():
         assert len(keys) == len(set(keys))
 
 
+def test_features_of_a_run_act_in_the_order_of_the_list():
+    order = start_features.order_of_features()
+    assert len(set(order)) == len(order)
+    places = [order.index(name) for name in FEATURES]
+    assert places == sorted(places)
+    assert [name for name in order if name in start_features.STARTS] == list(start_features.STARTS)
+
+
+def test_lists_and_keys_of_sections_have_names_of_their_own():
+    lists = [name for feature in features() for name in feature.lists]
+    assert len(lists) == len(set(lists))
+    keys = [
+        (section, key)
+        for feature in features()
+        for section, table in feature.section_keys.items()
+        for key in table.model_fields
+    ]
+    assert len(keys) == len(set(keys))
+
+
 @pytest.mark.parametrize("name", STARTS)
 def test_a_feature_of_a_run_has_a_function_that_starts_it(name):
     module, function = STARTS[name]

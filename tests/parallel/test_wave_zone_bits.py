@@ -10,8 +10,6 @@ from tests.support.file_digests import (
 )
 from tests.support.small_scenes import MIXED
 
-pytestmark = pytest.mark.mpi
-
 SCENE = (
     MIXED.replace("PRECISION", "double")
     + """
@@ -46,9 +44,9 @@ def one(tmp_path_factory):
 
 
 @RANKS_AND_THREADS
-def test_ranks_and_threads(one, ranks, flags, tmp_path):
+def test_ranks_and_threads(one, start, ranks, flags, tmp_path):
     scene, expected = one
-    assert_same_files(scene, expected, tmp_path, ranks, *flags)
+    assert_same_files(scene, expected, tmp_path, start, ranks, *flags)
 
 
 def test_a_restart(one, tmp_path):

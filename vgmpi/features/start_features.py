@@ -2,9 +2,12 @@
 
 from importlib import import_module
 
+from vgmpi.scene import scene_feature
+
 from .active_feature import ActiveFeature, StartContext
 
-# name in Simulation.features -> module and function that starts it; None: its plan does
+# Features that are not in FEATURES yet: name in Simulation.features -> module and function that
+# starts it; None marks the places of features of a plan between these
 STARTS: dict[str, tuple[str, str] | None] = {
     "flow_accounting": ("inlets_outlets.flow_accounting", "start"),
     "loads": None,
@@ -22,8 +25,23 @@ STARTS: dict[str, tuple[str, str] | None] = {
 }
 
 
+def order_of_features() -> list[str]:
+    """Return the names of all features in the order in which they act.
+
+    One of FEATURES that has no place in STARTS acts before the next that has one, or last.
+    """
+    order = list(STARTS)
+    following = len(order)
+    for name in reversed(scene_feature.FEATURES):
+        if name in STARTS:
+            following = order.index(name)
+        else:
+            order.insert(following, name)
+    return order
+
+
 def start_features(context: StartContext, features: dict[str, ActiveFeature]) -> None:
-    """Start the features of a plan on this rank: those of STARTS, then the others by the plan.
+    """Start the features of a plan on this rank, in their order.
 
     Args:
         context: What they may take.
@@ -31,7 +49,7 @@ def start_features(context: StartContext, features: dict[str, ActiveFeature]) ->
     """
     plans = {plan.name: plan for plan in context.plan.features}
     row = context.first_reaction_row
-    for name in (*STARTS, *(name for name in plans if name not in STARTS)):
+    for name in order_of_features():
         feature = None
         if place := STARTS.get(name):
             module, function = place

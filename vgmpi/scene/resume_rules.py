@@ -89,8 +89,9 @@ def forbidden_changes(scene: Scene, before: dict) -> list[tuple[tuple, str]]:
     now, allowed = scene.to_json(), may_change()
     differences: list[tuple[tuple, str]] = []
     for name in {**before, **now}:
-        old, new = before.get(name, []), now.get(name, [])  # empty lists may be left out
-        if isinstance(old, list) and isinstance(new, list):
+        old, new = before.get(name), now.get(name)
+        if isinstance(old, list) or isinstance(new, list):  # empty lists may be left out
+            old, new = old or [], new or []
             _compare_lists(name, old, new, name in allowed, differences)
         elif name not in allowed:
             _compare_values((name,), old, new, allowed, differences)

@@ -305,9 +305,10 @@ class Simulation:
         return overflows
 
     def _update_grid(self, halo: HaloExchange | None) -> None:
-        """Transfer x, v, C and the state at n to the grid, and find the nodal velocities at n + 1.
+        """Transfer x, v, C and the state at n to the grid, exchange sums, find nodal velocities.
 
-        They include the stress at n over dt, gravity, couplings, contact and walls.
+        They include the stress at n over dt (without a pressure that features find), gravity,
+        mixtures, contact and walls; `_couple_nodes` may change them.
         """
         engine, mark = self.engine, self.clock or (lambda name: None)
         assert halo is not None  # particles were inserted

@@ -172,9 +172,9 @@ def validate_joints(tables: SceneTables) -> Errors:
     """
     errors: Errors = []
     joints, objects = tables.lists["joint"], tables.objects
-    by_name = {} if None in objects else {obj.name: obj for obj in objects}
+    by_name = {obj.name: obj for obj in objects if obj is not None}
     for k, joint in enumerate(joints):
-        if joint is not None and by_name:
+        if joint is not None and None not in objects:
             errors += [
                 (("joint", k, *path), text) for path, text in _validate_joint(joint, by_name)
             ]

@@ -12,6 +12,9 @@ from vgmpi.runtime.jit import device_function, kernel
 
 from .plan import ZonePlan
 
+# [cells] from a particle to the farthest node that its velocity gradient reaches: sqrt(3) 1.5, and
+# the square root of 2 of the gradient's two equal entries
+GRADIENT_REACH = 3.7
 MARGIN_CELLS = 3.0  # [cells] by which particles may leave their block between two sorts, and more
 
 
@@ -26,8 +29,9 @@ class ZoneConstants(NamedTuple):
     high: np.ndarray  # (3,)
     level: float  # [m] z of the surface at rest
     number: float  # [rad/m]
-    speed: float  # [m/s] amplitude of the velocity: amplitude times frequency over sinh(k h)
+    speed: float  # [m/s] amplitude times frequency over 1 - exp(-2 k h)
     depth: float  # [m]
+    crest: float  # [m] height over the level up to which the wave is continued
     phase: float  # [rad] frequency times time
     decay: float  # [-] rate times length of the step
     channel: int  # first channel of the velocity gradient, -1: none
@@ -80,17 +84,19 @@ class WaveZones(ActiveFeature):
             for group, segments in zip(self.groups, rows, strict=True):
                 if len(segments):
                     self._relax(group, segments, each, span)
-            bound += -math.expm1(-each.zone.relaxation_rate * span.dt) * each.max_speed
+            share = -math.expm1(-each.zone.relaxation_rate * span.dt)
+            turn = GRADIENT_REACH * each.number * self.plan.dx
+            bound += share * each.max_speed * (1.0 + turn)
         return bound
 
     def _relax(self, group, segments: np.ndarray, each: ZonePlan, span: StepSpan) -> None:
         """Relax the velocities of some segments of a group (in/out)."""
         zone, real = each.zone, self.plan.real
-        speed = each.amplitude(span.end) * each.frequency / math.sinh(each.number * zone.depth)
+        speed = each.amplitude(span.end) * each.frequency / -math.expm1(-2.0 * each.reach)
         constants = ZoneConstants(
             each.axis, float(each.direction), each.outer, each.length,
             np.array(zone.corners[0]), np.array(zone.corners[1]), zone.level, each.number, speed,
-            zone.depth, each.frequency * span.end, zone.relaxation_rate * span.dt,
+            zone.depth, zone.height, each.frequency * span.end, zone.relaxation_rate * span.dt,
             group.plan.channels.first("C") if self.plan.affine else -1,
             self.plan.dx, self.plan.dx / 2.0 ** BITS[real],
         )  # fmt: skip
@@ -102,7 +108,7 @@ def relax_to_wave(segments, start, count, block, xi, f, zone):
     """Relax velocities, and their gradients, to those of a wave of small amplitude.
 
     The share of a step is 1 - exp(-rate dt w) with w = s^2 (3 - 2 s), where s is 1 at the outer
-    face and 0 at the inner one. Above the level at rest the wave is that of the level.
+    face and 0 at the inner one. The wave is continued above the level at rest up to its height.
 
     Args:
         segments: Segments to process, shape (n,).
@@ -116,7 +122,10 @@ def relax_to_wave(segments, start, count, block, xi, f, zone):
         library OpenFoam. Int. J. Numer. Meth. Fluids 70.
     """
     k, axis, direction, first = zone.number, zone.axis, zone.direction, zone.channel
-    terms = np.zeros((5, max(1, count.max())))
+    longest = 1
+    for s in segments:
+        longest = max(longest, count[s])
+    terms = np.zeros((5, longest))
     for s in segments:
         begin, n = start[s], count[s]
         corner = (BLOCK_EDGE * block[s] + BLOCK_CENTER) * zone.dx
@@ -176,10 +185,11 @@ def compute_terms(xi, corner, zone, terms):
             place = 1.0 - along / zone.length
             share = -math.expm1(-zone.decay * place * place * (3.0 - 2.0 * place))
             if zone.speed > 0.0:
-                depth = max(min(z - zone.level, 0.0) + zone.depth, 0.0)
-                growth, angle = math.exp(zone.number * depth), zone.number * along - zone.phase
-                wide = 0.5 * share * zone.speed * (growth + 1.0 / growth)
-                tall = 0.5 * share * zone.speed * (growth - 1.0 / growth)
+                height = min(max(z - zone.level, -zone.depth), zone.crest)
+                strength = share * zone.speed * math.exp(zone.number * height)
+                bottom = math.exp(-2.0 * zone.number * (height + zone.depth))
+                wide, tall = strength * (1.0 + bottom), strength * (1.0 - bottom)
+                angle = zone.number * along - zone.phase
                 cosine, sine = math.cos(angle), math.sin(angle)
         terms[0, n] = 1.0 - share
         terms[1, n], terms[2, n] = wide * cosine, tall * sine

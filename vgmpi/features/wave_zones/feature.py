@@ -42,6 +42,8 @@ class WaveZone(StrictModel):
     """depth of the water at rest"""
     height: Annotated[float, Quantity("m", ge=0)] = 0.0
     """height of the waves, from trough to crest; 0: the zone takes up waves"""
+    start_time: Annotated[float, Quantity("s", ge=0)] = 0.0
+    """time at which the waves begin; before, the zone takes up waves"""
     ramp_time: Annotated[float, Quantity("s", ge=0)] | None = None
     """time in which the waves grow from 0, as half a cosine; default: one period"""
     rate: Annotated[float, Quantity("1/s", gt=0)] | None = None
@@ -115,26 +117,19 @@ class WaveZones(SceneFeature):
         Args:
             name, raw, tables: See `SceneFeature.check_list`.
         """
-        domain = tables.sections.get("domain")
-        errors: Errors = []
-        for k, zone in enumerate(tables.lists[name]):
-            if zone is None or domain is None:
-                continue
-            x, y, z = domain.gravity
-            axis = OUTER_FACES[zone.outer][0]
-            low, high = (corner[axis] for corner in zone.corners)
-            if x or y or z >= 0 or domain.gravity_keyframes:
-                message = "needs constant domain.gravity along -z: waves of its level need one"
-                errors.append(((name, k), message))
-                continue
-            if high <= 0.0 or low >= domain.size[axis]:
-                message = f"is outside of the domain, 0 to {domain.size[axis]:g} m"
-                errors.append(((name, k, "box"), message))
-            breaking = max_height(zone.period, zone.depth, -z)
-            if zone.height >= breaking:
-                message = f"waves of this period and depth break at {breaking:.3g} m; must be less"
-                errors.append(((name, k, "height"), message))
-        return errors
+        domain, zones = tables.sections.get("domain"), enumerate(tables.lists[name])
+        valid = [(k, zone) for k, zone in zones if zone is not None]
+        if domain is None or not valid:
+            return []
+        x, y, z = domain.gravity
+        if x or y or z >= 0 or domain.gravity_keyframes or domain.gravity_ramp_time:
+            message = "must be constant and along -z: the waves of a wave_zone need it"
+            return [(("domain", "gravity"), message)]
+        return [
+            ((name, k, key), message)
+            for k, zone in valid
+            for key, message in _check_zone(zone, domain.size, -z)
+        ]
 
     def check_probes(self, probes: list, tables: SceneTables) -> Errors:
         """Return the errors of probes whose balance of momentum lacks the force of a zone.
@@ -142,7 +137,7 @@ class WaveZones(SceneFeature):
         Args:
             probes, tables: See `SceneFeature.check_probes`.
         """
-        if not tables.lists["wave_zone"]:
+        if not any(zone is not None for zone in tables.lists["wave_zone"]):
             return []
         message = "is not for scenes with a wave zone: its force is no part of the balance"
         walls = [k for k, probe in enumerate(probes) if probe and probe.wall == "all"]
@@ -160,6 +155,37 @@ class WaveZones(SceneFeature):
         from .plan import plan_wave_zones
 
         return plan_wave_zones(zones, draft.scene), draft
+
+
+def _check_zone(zone: WaveZone, size: tuple, gravity: float) -> list[tuple[str, str]]:
+    """Return (key, message) of what is wrong with a zone.
+
+    Args:
+        zone: The zone.
+        size: Size of the domain, shape (3,) [m].
+        gravity: Strength of gravity [m/s2].
+    """
+    errors = []
+    axis, direction = OUTER_FACES[zone.outer]
+    for a, (low, high) in enumerate(zip(*zone.corners)):
+        if high <= 0.0 or low >= size[a]:
+            allowed = f"0 to {size[a]:g} m along {'xyz'[a]}"
+            errors.append(("box", f"is outside of the domain, {allowed}"))
+    outer = zone.corners[0 if direction > 0 else 1][axis]
+    if not -1e-6 * size[axis] <= outer <= (1 + 1e-6) * size[axis]:
+        message = f"the face is at {outer:g} m, outside of the domain: no wave would be whole"
+        errors.append(("outer", message))
+    if not zone.corners[0][2] < zone.level <= size[2]:
+        message = f"must be above the lowest corner of the box and at most {size[2]:g} m"
+        errors.append(("level", message))
+    elif zone.depth > zone.level * (1 + 1e-6):
+        message = f"reaches below the domain: at most {zone.level:g} m, as the level is"
+        errors.append(("depth", message))
+    breaking = max_height(zone.period, zone.depth, gravity)
+    if zone.height >= breaking:
+        message = f"waves of this period and depth break at {breaking:.3g} m; must be less"
+        errors.append(("height", message))
+    return errors
 
 
 FEATURE = WaveZones()

@@ -28,25 +28,33 @@ class ZonePlan(NamedTuple):
     @property
     def max_speed(self) -> float:
         """Return the largest speed of the water in the waves [m/s]."""
-        reach = math.cosh(self.number * self.zone.depth) / math.sinh(self.number * self.zone.depth)
-        return 0.5 * self.zone.height * self.frequency * reach
+        crest = math.exp(self.number * self.zone.height)
+        return self.zone.height * self.frequency * crest / -math.expm1(-2.0 * self.reach)
+
+    @property
+    def reach(self) -> float:
+        """Return the wave number times the depth."""
+        return self.number * self.zone.depth
 
     def amplitude(self, time: float) -> float:
         """Return the amplitude of the waves at a time [m], with their growth from 0."""
         ramp = self.zone.period if self.zone.ramp_time is None else self.zone.ramp_time
-        grown = 1.0 if time >= ramp else 0.5 - 0.5 * math.cos(math.pi * time / ramp)
-        return 0.5 * self.zone.height * grown
+        age = time - self.zone.start_time
+        if age <= 0.0:
+            return 0.0
+        growth = 1.0 if age >= ramp else 0.5 - 0.5 * math.cos(math.pi * age / ramp)
+        return 0.5 * self.zone.height * growth
 
 
 class WaveZonesPlan(FeaturePlan):
     """Wave zones of a run."""
 
     name = "wave_zones"
-    drives_motion = True
 
     def __init__(self, zones: tuple[ZonePlan, ...]):
         """Take the zones."""
         self.zones = zones
+        self.drives_motion = any(each.zone.height for each in zones)
 
     def report_lines(self, plan: Plan) -> list[str]:
         """Return a line for each zone.

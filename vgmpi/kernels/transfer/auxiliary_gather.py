@@ -128,6 +128,9 @@ def displacement(kind, extra, n, moves):
 def velocity_gradient(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
     """Return the velocity gradient that the constitutive law receives, nine components.
 
+    A kind may also set state variables that the law does not: with an implicit pressure the volume
+    ratio is that of the pressure at the nodes.
+
     Args:
         split: Whether the stress impulses of the segment are kept separate from momentum.
         f, p, cap: Particle channels, flat (in/out); first of the 16 particles; stride of channels.
