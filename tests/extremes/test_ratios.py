@@ -90,7 +90,7 @@ def test_a_ratio_is_the_first_one_s_over_the_other_s():
 
 def test_the_table_says_where_the_margin_is_less(monkeypatch):
     found = iter([0.0, 1.2, 1.3, contrast_stability.STEP_LADDER[-1], *[2.0] * 5])
-    monkeypatch.setattr(contrast_stability, "largest", lambda pair: next(found))
+    monkeypatch.setattr(contrast_stability, "max_stable_step", lambda pair: next(found))
     row = list(contrast_stability.lines(["elastic on elastic: stiffness"], ["apic-corrected"]))[1]
     assert row.split()[4:] == ["<", "0.5", "1.20", "!", "1.30", ">=", "2.8", *["2.00"] * 5]
 

@@ -115,7 +115,7 @@ def test_what_lies_before_the_near_plane_is_not_drawn():
     towards = -eye / np.linalg.norm(eye)
     for depth, drawn in ((0.199, False), (0.201, True), (-1.0, False)):
         _, left = rasterize.render(
-            one(eye + depth * towards, sd=0.001, opacity=1.0), camera(near=0.2)
+            one(eye + depth * towards, sd=0.001, opacity=1.0), camera(near_plane=0.2)
         )
         assert (left.min() < 0.9) == drawn
 
@@ -228,7 +228,7 @@ def test_any_scale_and_any_opacity(mode, seed):
 
 def test_gaussians_behind_and_beside_the_camera():
     """Behind: nothing. Beside and touching the near plane: as the formulas have it."""
-    seen = camera(near=0.05)
+    seen = camera(near_plane=0.05)
     rotation = seen.world_to_camera[:3, :3]
     rng = np.random.default_rng(2)
     local = np.stack([rng.uniform(-4, 4, 400), rng.uniform(-4, 4, 400), rng.uniform(-2, 1, 400)], 1)

@@ -15,7 +15,7 @@ import pytest
 
 import vgmpi
 from tests.support.small_scenes import write
-from vgmpi.commands import cli
+from vgmpi.commands import cli, run_command
 from vgmpi.io.run_reader import RunReader
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.planning.cost import pilot_result, step_overhead
@@ -274,7 +274,7 @@ def test_a_run_tells_its_time_by_it(tmp_path, monkeypatch, capsys):
             super().__init__(run, quiet, left)
             given.append(left)
 
-    monkeypatch.setattr(progress, "Progress", Seen)
+    monkeypatch.setattr(run_command, "Progress", Seen)
     assert cli.main([str(path), "--pilot", "-o", str(tmp_path / "with")]) == 0
     assert cli.main([str(path), "-o", str(tmp_path / "without")]) == 0
     assert cli.main([str(path), "--pilot", "-q", "-o", str(tmp_path / "quiet")]) == 0

@@ -15,7 +15,7 @@ import vgmpi
 from tests.support.file_digests import files
 from tests.support.launch import PATIENCE, ROOT
 from tests.support.small_scenes import write
-from vgmpi.commands import cli
+from vgmpi.commands import cli, run_command
 from vgmpi.io import checkpoint, csv_log, file_layout, run_lock, run_reader
 from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.parallel.communicator import SerialCommunicator
@@ -23,7 +23,6 @@ from vgmpi.scene.loader import load
 from vgmpi.scene.resume_rules import forbidden_changes
 from vgmpi.solver import run as runs
 from vgmpi.solver import stop_requests
-from vgmpi.solver.diagnostics import progress
 from vgmpi.solver.run import Runner
 from vgmpi.solver.stop_requests import Requests
 
@@ -324,7 +323,7 @@ def test_ctrl_c_again_ends_at_once(scene, monkeypatch):
 
 
 def test_ctrl_c_before_the_first_step_ends_at_once(scene, monkeypatch):
-    monkeypatch.setattr(progress, "Clock", lambda: signal.raise_signal(signal.SIGINT))
+    monkeypatch.setattr(run_command, "Clock", lambda: signal.raise_signal(signal.SIGINT))
     with pytest.raises(KeyboardInterrupt):
         run(scene, *NUMPY)
     assert not list((scene.parent / "out").glob("frames/*"))

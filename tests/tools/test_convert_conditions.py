@@ -137,7 +137,7 @@ def test_conditions_that_are_not_brought_over_are_named(convert, condition):
     scene, lines = convert(ONE | {"boundary_conditions": [condition]})
     assert any(line.startswith("boundary_conditions.0") for line in lines)
     assert scene.object[0].motion is None and scene.object[0].release_time is None
-    assert not scene.load
+    assert not scene.lists["load"]
 
 
 def test_a_part_that_is_held_to_the_end_is_pinned(convert):
@@ -204,8 +204,8 @@ def test_layers_are_let_go(convert):
 def test_an_impulse_is_that_of_all_particles(convert, capture):
     push = {"type": "particle_impulse", "force": [-0.2, 0, 0], "num_dt": 3, "start_time": 0.1}
     scene, lines = convert(ONE | {"boundary_conditions": [push]}, capture)
-    assert scene.load[0].impulse == pytest.approx((-0.2 * 3e-4 * 810, 0, 0))
-    assert scene.load[0].start_time == 0.1 and named(lines, "boundary_conditions.0")
+    assert scene.lists["load"][0].impulse == pytest.approx((-0.2 * 3e-4 * 810, 0, 0))
+    assert scene.lists["load"][0].start_time == 0.1 and named(lines, "boundary_conditions.0")
 
 
 def test_areas_and_filling(convert, capture):
