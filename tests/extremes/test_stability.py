@@ -71,7 +71,7 @@ def test_the_default_is_that_of_all_materials(tmp_path, material):
     text = Case(material).text.replace(f"cfl = {Case(material).cfl}\n", "")
     simulation, _ = begin(tmp_path, text)
     assert simulation.plan.cfl == DEFAULT_CFL == 0.55
-    assert (simulation.plan.restores, simulation.plan.shift_interval) == (
+    assert (simulation.plan.correction_interval, simulation.plan.shift_interval) == (
         2, 0 if material == "elastic" else 4,
     )  # fmt: skip
 
@@ -79,7 +79,7 @@ def test_the_default_is_that_of_all_materials(tmp_path, material):
 def test_a_fixed_step_is_bounded_by_the_smaller_number(tmp_path):
     text = Case("elastic").text.replace("cfl = 0.55", "dt = 1e-5")
     simulation, _ = begin(tmp_path, text)
-    assert (simulation.plan.cfl, simulation.plan.restores) == (0.4, 3)
+    assert (simulation.plan.cfl, simulation.plan.correction_interval) == (0.4, 3)
 
 
 def expansion_of_a_lone_drop(folder, factor, engine, other=""):

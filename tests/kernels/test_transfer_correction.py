@@ -44,7 +44,7 @@ def test_what_is_given_back_has_no_momentum(tmp_path):
     random = np.random.default_rng(1)
     run = simulation(tmp_path, lambda x: random.normal(0.0, 1.0, x.shape))
     before, (x, v) = totals(run), by_id(run, "x", "v")
-    run.restore(1e-4)
+    run.correct_transfers(1e-4)
     after, (moved, given) = totals(run), by_id(run, "x", "v")
     assert np.abs(given - v).max() > 1.0, "it does nothing"
     assert (moved == x).all() and run.time == 0.0
@@ -61,7 +61,7 @@ def test_affine_motion_loses_nothing(tmp_path):
         at = group.index()
         group.put("C", at, np.tile(A.ravel(), (len(at), 1)))
     (v,) = by_id(run, "v")
-    run.restore(1e-4)
+    run.correct_transfers(1e-4)
     assert np.abs(by_id(run, "v")[0] - v).max() < 1e-13
 
 
@@ -76,7 +76,7 @@ def test_a_smooth_motion_gets_back_what_a_transfer_takes(tmp_path):
         run = simulation(tmp_path, wave)
         run.advance(1e-9)  # velocities are now what nodes know
         (start,) = by_id(run, "v")
-        run.plan = replace(run.plan, restores=MAX_CORRECTION_INTERVAL if restored else 0)
+        run.plan = replace(run.plan, correction_interval=MAX_CORRECTION_INTERVAL if restored else 0)
         for _ in range(
             MAX_CORRECTION_INTERVAL + 1
         ):  # of which the last but one begins by giving back
@@ -88,4 +88,4 @@ def test_a_smooth_motion_gets_back_what_a_transfer_takes(tmp_path):
 
 @pytest.mark.parametrize("cfl, every", [(0.1, 3), (0.4, 3), (0.5, 2), (0.65, 2), (0.7, 1), (1, 1)])
 def test_how_often(tmp_path, cfl, every):
-    assert simulation(tmp_path, cfl=cfl).plan.restores == every
+    assert simulation(tmp_path, cfl=cfl).plan.correction_interval == every

@@ -262,7 +262,7 @@ def test_what_is_carried_has_the_flow_and_the_state_of_rest(tmp_path):
             np.testing.assert_allclose(v[here] - want, 0.0, atol=1e-15)
             assert (C[here] == 0).all() and (J[here] == 1).all()
             np.testing.assert_allclose(vol0[here], 1e-6, rtol=1e-14)
-            simulation.restore(0.5 * simulation.bound())
+            simulation.correct_transfers(0.5 * simulation.bound())
     assert (by_id(simulation, "C")[0][~here] != 0).any()
 
 

@@ -161,7 +161,7 @@ def simulated(folder, text):
     """A simulation after some steps, and the calls of its kernels."""
     with reachable_arrays.Calls() as calls:
         simulation, _ = begin(folder, text)
-        for _ in range(2 * simulation.plan.restores + 2):
+        for _ in range(2 * simulation.plan.correction_interval + 2):
             simulation.advance(simulation.bound())
     return simulation, calls
 

@@ -65,7 +65,7 @@ class ParticleMaxima(NamedTuple):
         waves = (self.rate * plan.cfl * plan.dx) ** 2
         stress = 2.0 * self.stress + 3.0 * waves * self.turn * self.dt
         speed = self.speed + load_speed + 2.6 * plan.dx * self.turn + 4.0 * dt / plan.dx * stress
-        speed *= 1.0 + 4.0 * plan.restores  # exceeds what transfers can have lost
+        speed *= 1.0 + 4.0 * plan.correction_interval  # exceeds what transfers can have lost
         return float(min(plan.dx / dt, speed))
 
 

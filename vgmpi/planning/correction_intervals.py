@@ -14,7 +14,7 @@ MAX_SHIFT_INTERVAL, MAX_SHIFT_TRAVEL_CELLS = 6, 2.41
 
 def correction_interval(scene: Scene) -> int:
     """Return the number of steps between two transfer corrections, 0: never."""
-    if not (scene.accuracy.restores and scene.has_particles):
+    if not (scene.accuracy.corrects_transfers and scene.has_particles):
         return 0
     travel = int(MAX_WAVE_TRAVEL_CELLS / scene.courant_number)
     return max(1, min(MAX_CORRECTION_INTERVAL, travel))
@@ -28,12 +28,12 @@ def shift_interval(scene: Scene) -> int:
 
 
 def shift_cost(
-    restores: bool, interval: int, by_volume: bool, costs: StepCosts = COSTS
+    corrects_transfers: bool, interval: int, by_volume: bool, costs: StepCosts = COSTS
 ) -> StageCost:
     """Return the cost of particle shifting in steps of a fluid particle.
 
     Args:
-        restores: Whether the transfer correction makes the step of no time anyway.
+        corrects_transfers: Whether the transfer correction makes the step of no time anyway.
         interval: Number of steps between two shifts.
         by_volume: Whether the liquids of the phase differ in density.
         costs: Costs of the parts of a step.
@@ -41,6 +41,6 @@ def shift_cost(
     cost = costs.shift
     if by_volume:
         cost += costs.rest_volume
-    if not restores:
+    if not corrects_transfers:
         cost += costs.correction
     return cost * (1.0 / interval)

@@ -297,7 +297,7 @@ def make_group(phase: int, phase_label: str, name: str, material, real: np.dtype
 
 def with_runtime_requirements(
     scene: Scene, group: GroupPlan, sharing: InteractionRules | None, colors: ColorExchange | None,
-    keeps: object, restores: int,
+    flip: object, interval: int,
 ) -> GroupPlan:  # fmt: skip
     """Return the group with all that the runtime features of the scene require.
 
@@ -308,15 +308,15 @@ def with_runtime_requirements(
         group: The group.
         sharing: Interaction rules of the phases, or None.
         colors: Colors that are transferred in every step, or None.
-        keeps: FLIP blend, or None.
-        restores: Steps between two corrections of motion, 0: never.
+        flip: FLIP blend, or None.
+        interval: Steps between two corrections of motion, 0: never.
     """
     group = _with_shared_space(scene, group, sharing)
     if colors is not None:
         group = _with_colors(group, int(colors.coefficients[group.phase]))
-    if restores:
-        group = group._replace(cost=group.cost + COSTS.correction.total / restores)
-    if keeps is not None:
+    if interval:
+        group = group._replace(cost=group.cost + COSTS.correction.total / interval)
+    if flip is not None:
         return group._replace(apart=True, cost=group.cost + COSTS.flip.total)
     if scene.accuracy.dilatation == "cells" and group.is_liquid and not group.apart:
         cost = group.cost + COSTS.cell_dilatation.total
@@ -377,7 +377,7 @@ def with_volume_correction(
 def _with_shifting(scene: Scene, group: GroupPlan, phase: PhasePlan) -> GroupPlan:
     """Return the group, whose particles are shifted."""
     by_volume = phase.least < phase.most
-    cost = shift_cost(scene.accuracy.restores, shift_interval(scene), by_volume)
+    cost = shift_cost(scene.accuracy.corrects_transfers, shift_interval(scene), by_volume)
     return group._replace(shifts=True, cost=group.cost + cost.total)
 
 
@@ -424,7 +424,7 @@ def with_soft_bodies(
         volume: Volume of each object and inlet [m3].
         center: Center of each [m].
     """
-    if scene.accuracy.keeps or all(kind != "separate" for kind, _ in scene.walls_of_solids):
+    if scene.accuracy.is_flip or all(kind != "separate" for kind, _ in scene.walls_of_solids):
         return phases
     keys = scene.domain.gravity_keyframes or ()
     pulls = [scene.domain.gravity, *(key.gravity for key in keys)]

@@ -98,8 +98,8 @@ class Plan:
     colors: ColorExchange | None = None  # colors that are transferred in every step
     affine: bool = True  # particles carry the velocity gradient (APIC)
     splines: bool = False  # strains and forces use gradients of the B-splines
-    keeps: FlipBlend | None = None  # FLIP and AFLIP
-    restores: int = 0  # [steps] interval of the transfer correction; 0: never
+    flip: FlipBlend | None = None  # FLIP and AFLIP
+    correction_interval: int = 0  # [steps] interval of the transfer correction; 0: never
     shift_interval: int = 0  # [steps] interval of particle shifting; 0: never
     gravity_ramp_time: float = 0.0  # [s] duration of the growth of gravity
     gravity_keys: Keys = ()  # (time, gravity) keyframes from the start on
@@ -231,7 +231,7 @@ class Plan:
         layers = 1 + touches + self.has_surface_friction + any(group.apart for group in self.groups)
         layers += max(group.coefficients for group in self.groups)
         layers += any(phase.fills_by_volume for phase in self.phases)
-        more = (self.rules is not None) + (self.keeps is not None) + self.drifts
+        more = (self.rules is not None) + (self.flip is not None) + self.drifts
         # A block holds about 300 particles and reaches node blocks without particles.
         blocks = 4.0 * self.particles / 300.0 + 27 * len(self.phases)
         return total + int(blocks * nodes * (layers * sum_bytes + more * width))
@@ -263,9 +263,9 @@ def make_plan(
     phases, plain = (phases, plain) if bodies else idle_phase(scene, real)
     sharing, colors = interaction_rules(scene, plain, phases), color_exchange(scene, phases, shades)
     _check_transfer(scene, sharing)
-    keeps, restores = _flip_blend(scene.accuracy), correction_interval(scene)
+    flip, interval = _flip_blend(scene.accuracy), correction_interval(scene)
     complete = tuple(
-        with_runtime_requirements(scene, group, sharing, colors, keeps, restores) for group in plain
+        with_runtime_requirements(scene, group, sharing, colors, flip, interval) for group in plain
     )
     complete = with_slip_wave_factors(complete, sharing, scene.courant_number * scene.domain.cell)
     complete, phases = with_volume_correction(scene, complete, phases)
@@ -285,7 +285,8 @@ def make_plan(
         stiff=_wave_moduli(groups, len(phases)), contact=len(phases) > 1,
         times=np.linspace(0.0, scene.time.end, scene.time.frames),
         cfl=scene.courant_number, fixed_dt=scene.time.dt, rate=_rate(scene, groups, sharing),
-        rules=sharing, colors=colors, affine=scene.accuracy.affine, keeps=keeps, restores=restores,
+        rules=sharing, colors=colors, affine=scene.accuracy.affine, flip=flip,
+        correction_interval=interval,
         splines=scene.accuracy.gradient == "bspline",
         shift_interval=shift_interval(scene) * any(group.shifts for group in groups),
         gravity_ramp_time=scene.domain.gravity_ramp_time,
@@ -394,7 +395,7 @@ def time_step_bounds(scene: Scene, plan: Plan, stiffened: bool = False) -> list[
 
 def _flip_blend(accuracy: Accuracy) -> FlipBlend | None:
     """Return the FLIP blend that the scene asks for, or None."""
-    if not accuracy.keeps:
+    if not accuracy.is_flip:
         return None
     if accuracy.flip_ratio is not None:
         return FlipBlend(accuracy.flip_ratio, math.inf)

@@ -31,7 +31,7 @@ def warn_of_locking(scene: Scene) -> None:
 
 def report_flip_ratio(scene: Scene) -> None:
     """Log that a FLIP ratio per step makes losses depend on the time step."""
-    if scene.accuracy.keeps and scene.accuracy.flip_ratio is not None:
+    if scene.accuracy.is_flip and scene.accuracy.flip_ratio is not None:
         log.info(
             "accuracy.flip_ratio = %g is kept in each step: the shorter the step, the more is lost;"
             " accuracy.flip_decay_time is a time",

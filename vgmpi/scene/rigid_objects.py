@@ -98,7 +98,7 @@ def validate_rigid_scene(
         if material is not None and material.family != "solid":
             message = f"is only for solids; the material is of kind {material.kind!r}"
             errors.append((("object", k, "rigid"), message))
-    if accuracy is not None and accuracy.keeps:
+    if accuracy is not None and accuracy.is_flip:
         errors.append((key, f'is not for accuracy.transfer = "{accuracy.transfer}"'))
     if any(coupling is not None and coupling.rule != CONTACT for coupling in couplings):
         errors.append((key, "is not for scenes in which materials mix or flow through sand"))

@@ -64,7 +64,7 @@ class Scene:
 
         With FLIP, walls without a kind stay slip walls.
         """
-        return self.domain.walls if self.accuracy.keeps else self.domain.walls_of_solids
+        return self.domain.walls if self.accuracy.is_flip else self.domain.walls_of_solids
 
     @property
     def things(self) -> tuple[Object | Inlet, ...]:

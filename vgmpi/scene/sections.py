@@ -206,7 +206,7 @@ class Accuracy(StrictModel):
 
     @model_validator(mode="after")
     def _check_dilatation(self) -> "Accuracy":
-        if self.dilatation == "cells" and self.keeps:
+        if self.dilatation == "cells" and self.is_flip:
             message = "cells is for transfer = 'apic-corrected', 'apic' or 'pic'"
             raise field_error(self, "dilatation", message)
         return self
@@ -217,12 +217,12 @@ class Accuracy(StrictModel):
         return self.transfer in ("apic", "apic-corrected", "aflip")
 
     @property
-    def restores(self) -> bool:
+    def corrects_transfers(self) -> bool:
         """Return whether the transfer error is compensated every few steps."""
         return self.transfer == "apic-corrected"
 
     @property
-    def keeps(self) -> bool:
+    def is_flip(self) -> bool:
         """Return whether particles keep some motion that the grid does not resolve (FLIP)."""
         return self.transfer in ("aflip", "flip")
 

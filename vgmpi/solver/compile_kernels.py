@@ -188,10 +188,10 @@ def _run(plan: Plan, calls: list[tuple] | None) -> None:
     )  # fmt: skip
     dt = 1e-6 * simulation.bound()
     simulation.advance(dt)
-    if plan.restores or plan.shift_interval:
-        simulation.restore(dt, bool(plan.shift_interval))
-    if plan.shift_interval and plan.restores not in (0, plan.shift_interval):
-        simulation.restore(dt)
+    if plan.correction_interval or plan.shift_interval:
+        simulation.correct_transfers(dt, bool(plan.shift_interval))
+    if plan.shift_interval and plan.correction_interval not in (0, plan.shift_interval):
+        simulation.correct_transfers(dt)
     conservation_rows(simulation)
     for feature in simulation.features.values():
         feature.compile_kernels()

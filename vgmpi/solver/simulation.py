@@ -171,7 +171,7 @@ class Simulation:
         self.find_particles(unchanged)
         if not unchanged:
             self.halo = self._exchange(self.halo, self.needs.step_layers)
-            if self.plan.restores or self.plan.shift_interval:
+            if self.plan.correction_interval or self.plan.shift_interval:
                 self.correction_halo = self._exchange(
                     self.correction_halo, self.needs.timeless_layers
                 )
@@ -273,14 +273,14 @@ class Simulation:
         """Restore motion and shift particles before a step of dt [s] in which they are due."""
         origins = (feature.correction_origin for feature in self.features.values())
         steps = self.step - max(origins, default=0)
-        shifts, restores = (
+        shifts, corrects = (
             bool(interval) and steps > 0 and steps % interval == 0
-            for interval in (self.plan.shift_interval, self.plan.restores)
+            for interval in (self.plan.shift_interval, self.plan.correction_interval)
         )
-        return self.restore(dt, shifts, restores) if shifts or restores else []
+        return self.correct_transfers(dt, shifts, corrects) if shifts or corrects else []
 
-    def restore(
-        self, dt: float, shifts: bool = False, restores: bool = True
+    def correct_transfers(
+        self, dt: float, shifts: bool = False, corrects: bool = True
     ) -> list[AccumulatorOverflow]:
         """Restore motion that the last transfers dissipated (transfer correction). Collective.
 
@@ -289,7 +289,7 @@ class Simulation:
         Args:
             dt: Length of the next step [s].
             shifts: Whether the particles of liquids are shifted.
-            restores: Whether motion is restored.
+            corrects: Whether motion is restored.
         """
         shift = None
         if shifts:
@@ -297,7 +297,7 @@ class Simulation:
         fastest = self.particle_maxima.fastest(self.plan, dt, 0.0)
         self.engine.begin(0.0, np.zeros(3), fastest, shift)
         self._update_grid(self.correction_halo)
-        overflows = self.engine.restore(self.plan.restores if restores else 0)
+        overflows = self.engine.correct_transfers(self.plan.correction_interval if corrects else 0)
         for feature in self.features.values():
             feature.end_correction(self.time)
         if self.clock:
@@ -384,7 +384,7 @@ def _separate_stress(plan: Plan) -> bool | exchange_topology.MixtureProximity:
     """Return where stress impulses are summed separately: with FLIP and in mixtures."""
     rules = plan.rules
     if rules is None:
-        return plan.keeps is not None
+        return plan.flip is not None
     same_mixture = rules.mixture_set[:, None] == rules.mixture_set[None, :]
     shares_space = (
         same_mixture & (rules.mixture_set >= 0)[:, None] & ~np.eye(len(same_mixture), dtype=bool)
@@ -392,5 +392,5 @@ def _separate_stress(plan: Plan) -> bool | exchange_topology.MixtureProximity:
     needs_contact = (rules.pair == CONTACT) & ~np.eye(len(same_mixture), dtype=bool)
     needs_contact |= (rules.pair == MIXING) & rules.drifting[:, None]
     return exchange_topology.MixtureProximity(
-        shares_space, needs_contact, rules.fluid, plan.keeps is not None
+        shares_space, needs_contact, rules.fluid, plan.flip is not None
     )

@@ -98,7 +98,7 @@ def validate_pinned_parts(objects: list, materials: dict, accuracy: Any) -> Erro
         if material is not None and material.family != "solid":
             message = f"is only for solids; the material is of kind {material.kind!r}"
             errors.append((key, message))
-        elif accuracy is not None and accuracy.keeps:
+        elif accuracy is not None and accuracy.is_flip:
             errors.append((key, f'is not for accuracy.transfer = "{accuracy.transfer}"'))
         for number, part in enumerate(obj.pinned):
             if message := _validate_holder(part.to, obj.name, by_name):

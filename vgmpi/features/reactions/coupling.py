@@ -77,7 +77,7 @@ class Reactions(ActiveFeature):
         """
         plan = self.plan
         speed, arm = plan.dx / span.dt, 2.0 * plan.dx * (max(plan.cells) + 2)
-        max_impulse = self.mass * speed * (HEADROOM + 4.0 * plan.restores)
+        max_impulse = self.mass * speed * (HEADROOM + 4.0 * plan.correction_interval)
         quantum = _power_of_two_above(max_impulse) * 2.0**-ACCUMULATOR_BITS
         self.quanta[:3], self.quanta[3:6] = quantum, quantum * _power_of_two_above(arm)
         self.quanta[6] = quantum * _power_of_two_above(4.0 * speed)

@@ -64,7 +64,7 @@ class SurfaceSlip(SceneFeature):
             elif obj.slip_length > 0.0 and math.inf in viscous:
                 message = "must be 0 for kind 'paste': its viscosity depends on the shear rate"
                 errors.append((key, message))
-            elif accuracy is not None and accuracy.keeps:
+            elif accuracy is not None and accuracy.is_flip:
                 errors.append((key, f'is not for accuracy.transfer = "{accuracy.transfer}"'))
             elif any(coupling is not None and coupling.rule != CONTACT for coupling in couplings):
                 message = "is not for scenes in which materials mix or flow through sand"

@@ -50,7 +50,7 @@ class ThinWalls(SceneFeature):
         if not thin:
             return []
         key, errors = ("object", thin[0], "thin"), []
-        if accuracy is not None and accuracy.keeps:
+        if accuracy is not None and accuracy.is_flip:
             errors.append((key, f'is not for accuracy.transfer = "{accuracy.transfer}"'))
         if any(coupling is not None and coupling.rule != CONTACT for coupling in couplings):
             errors.append((key, "is not for scenes in which materials mix or flow through sand"))

@@ -55,13 +55,13 @@ def group_features(
     if own["F"]:
         result.append(Feature("deformation that Gaussians follow", StageCost(), own["F"]))
     transfer = f"{scene.accuracy.transfer} transfer"
-    if plan.restores:
-        result.append(Feature(transfer, pace.fluid / plan.restores * costs.correction))
-    if plan.keeps is not None:
+    if plan.correction_interval:
+        result.append(Feature(transfer, pace.fluid / plan.correction_interval * costs.correction))
+    if plan.flip is not None:
         result.append(Feature(transfer, pace.fluid * costs.flip))
     if group.shifts:
         by_volume = plan.phases[group.phase].fills_by_volume
-        cost = shift_cost(plan.restores > 0, plan.shift_interval, by_volume, costs)
+        cost = shift_cost(plan.correction_interval > 0, plan.shift_interval, by_volume, costs)
         result.append(Feature("particle shifting", pace.fluid * cost))
     if group.cell_dilatation:
         result.append(Feature("dilatation by cells", pace.fluid * costs.cell_dilatation))

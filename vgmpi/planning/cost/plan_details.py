@@ -123,9 +123,13 @@ def _accuracy_notes(scene: Scene, plan: Plan) -> list[str]:
 
 def _restored(plan: Plan) -> list[str]:
     """Return the line on the cost of the transfer correction and its cheaper alternative."""
-    if not plan.restores:
+    if not plan.correction_interval:
         return []
-    often = f"every {plan.restores} steps" if plan.restores > 1 else "with every step"
+    often = (
+        f"every {plan.correction_interval} steps"
+        if plan.correction_interval > 1
+        else "with every step"
+    )
     less = _relative_cost_of_apic(plan)
     return [
         f"  transfer    what transfers take from motion is given back {often};"
@@ -136,7 +140,7 @@ def _restored(plan: Plan) -> list[str]:
 def _relative_cost_of_apic(plan: Plan) -> float:
     """Return the cost of the same steps with APIC transfers: shifts of particles need some, too."""
     shifting = sum(n for n, g in group_counts(plan) if plan.groups[g].shifts)
-    corrected, apic = 1.0 + COSTS.correction.total / plan.restores, 1.0
+    corrected, apic = 1.0 + COSTS.correction.total / plan.correction_interval, 1.0
     if shifting:
         share, interval = shifting / plan.particles, plan.shift_interval
         corrected += share * shift_cost(True, interval, by_volume=False).total

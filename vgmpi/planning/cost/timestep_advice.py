@@ -130,7 +130,7 @@ def rigid_clause(scene: Scene, plan: Plan, name: str) -> str:
         name: Name of the material that limits the time step.
     """
     has_others = any(coupling.rule != CONTACT for coupling in scene.coupling)
-    if scene.material[name].family != "solid" or scene.accuracy.keeps or has_others:
+    if scene.material[name].family != "solid" or scene.accuracy.is_flip or has_others:
         return ""
     rows = [k for k, obj in enumerate(scene.object) if name in scene.materials_of(obj)]
     if any(scene.object[k].region for k in rows):

@@ -88,7 +88,7 @@ class Cpu(KernelCaller):
         self.words = reproducible_sums.accumulator_words(plan.real)
         self.as_one = phase_sets(plan)
         # auxiliary nodal values that particles gather, by name
-        has_change = plan.keeps is not None
+        has_change = plan.flip is not None
         self.gathered = {"flux": plan.rules is not None, "drift": plan.drifts, "change": has_change}
         self.gathered |= {name: True for each in plan.features for name in each.gathered}
         self.beside = {
@@ -385,12 +385,12 @@ class Cpu(KernelCaller):
             return None, 0
         return self.layers[REST_VOLUME].tables, self.number_of_field[REST_VOLUME]
 
-    def restore(self, times: int) -> list[AccumulatorOverflow]:
+    def correct_transfers(self, times: int) -> list[AccumulatorOverflow]:
         """Add `times` the motion that a step of no time has taken from the particles."""
-        self.each(self._restore, self.plan.real.type(times))
+        self.each(self._correct_transfers, self.plan.real.type(times))
         return self._found_beyond()
 
-    def _restore(self, thread: int, times: float) -> None:
+    def _correct_transfers(self, thread: int, times: float) -> None:
         dx = self.plan.real.type(self.plan.dx)
         for part in self.parts:
             if part.group.plan.is_carried:

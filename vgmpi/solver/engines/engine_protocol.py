@@ -94,7 +94,7 @@ class Engine(EngineServices, Protocol):
     def gather(self, step: int) -> StepReport:
         """Transfer grid velocities to the particles, advect them and return the report."""
 
-    def restore(self, times: int) -> list[AccumulatorOverflow]:
+    def correct_transfers(self, times: int) -> list[AccumulatorOverflow]:
         """Compensate the motion that transfers have lost, measured by a step of no time.
 
         Args:

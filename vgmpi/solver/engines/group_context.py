@@ -134,11 +134,11 @@ def _kind_without_correction(plan: Plan, group: GroupPlan, auxiliary: dict, dt: 
     sharing = auxiliary_gather.MixtureGather(
         auxiliary["flux"], auxiliary["drift"], int(plan.drifts)
     )
-    if plan.keeps is None:
+    if plan.flip is None:
         return sharing
     patch = 1 + sharing.drifts if group.shares else 0
     blend = auxiliary_gather.FlipGather(
-        auxiliary["change"], plan.real.type(plan.keeps.over(dt)), patch
+        auxiliary["change"], plan.real.type(plan.flip.over(dt)), patch
     )
     return MixtureFlipGather(sharing, blend) if group.shares else blend
 

@@ -16,7 +16,7 @@ def wall_table(plan: Plan) -> Walls:
         for walls in (plan.walls, plan.walls_of_solids)
     )
     friction = np.array([mu for _, mu in plan.walls]).reshape(3, 2)
-    if plan.keeps is None:
+    if plan.flip is None:
         for_solids[for_solids == SEPARATE] = YIELDING
     for_surfaces = for_solids.copy()
     for plane in plan.planes:

@@ -58,13 +58,13 @@ class ReactionAccumulators:
         Returns:
             Record for the thread, or None where the field has no reactions.
         """
-        flip, accumulator = self.plan.keeps, self.by_thread[thread]
+        flip, accumulator = self.plan.flip, self.by_thread[thread]
         if layer == "impulses":
             return ghosts._replace(given=accumulator, holds_mass=0)
         if layer != "momentum":
             return None
         if not dt:  # the change by the mirror is restored
-            return ghosts._replace(given=accumulator, share=-float(self.plan.restores))
+            return ghosts._replace(given=accumulator, share=-float(self.plan.correction_interval))
         flip_ratio = 0.0 if flip is None else flip.over(dt)
         return ghosts._replace(given=accumulator, share=1.0 - flip_ratio, kept=flip_ratio)
 

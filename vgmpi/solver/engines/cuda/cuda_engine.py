@@ -356,7 +356,7 @@ class Cuda(Cpu):
         )
 
     @with_device_context
-    def restore(self, times: int) -> list[AccumulatorOverflow]:
+    def correct_transfers(self, times: int) -> list[AccumulatorOverflow]:
         """Add `times` the motion that a step of no time has taken from the particles."""
         for part, work in zip(self.parts, self.work, strict=True):
             group: Any = part.group

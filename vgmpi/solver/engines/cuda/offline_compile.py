@@ -203,13 +203,13 @@ def kernels_of(simulation) -> list[Compiled]:
         engine.update(border)
     engine.gather(0)
     plan = simulation.plan
-    if plan.restores or plan.shift_interval:
+    if plan.correction_interval or plan.shift_interval:
         shift = shift_constants(plan, 1e-5, 0) if plan.shift_interval else None
         engine.begin(0.0, simulation.gravity, 1.0, shift)
         if any(phase.fills_by_volume for phase in plan.phases):
             engine.fill(False)
         engine.update(False)
-        engine.restore(1)
+        engine.correct_transfers(1)
     for group in simulation.groups:  # the kernels of a sort as well
         tags, _ = CardGroup.tag(group)
         CardGroup.assign_targets(group, tags, np.zeros((len(group.start), 27), np.int64), 1)

@@ -302,7 +302,7 @@ def _walls_of(plan: Plan, phase: PhasePlan) -> tuple[tuple[str, float], ...]:
     """Return the walls of a phase, without those that push its surfaces by contact."""
     if phase.is_liquid:
         return plan.walls
-    pushing = "yielding" if plan.keeps is None else "separate"
+    pushing = "yielding" if plan.flip is None else "separate"
     kind = "open" if phase.meets_walls_by_contact else pushing
     return tuple(
         (kind if wall == "separate" else wall, friction) for wall, friction in plan.walls_of_solids

@@ -25,9 +25,9 @@ class ReactionSums:
 
         dt: length of the step [s], 0 for a step of no time.
         """
-        flip = self.plan.keeps
+        flip = self.plan.flip
         flip_ratio = 0.0 if flip is None or not dt else flip.over(dt)
-        return 1.0 - flip_ratio if dt else -float(self.plan.restores), flip_ratio
+        return 1.0 - flip_ratio if dt else -float(self.plan.correction_interval), flip_ratio
 
     def take(self) -> np.ndarray:
         """Return the sums in integer multiples of the quanta, and reset them."""

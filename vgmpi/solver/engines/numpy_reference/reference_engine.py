@@ -233,7 +233,7 @@ class Numpy(SurfaceNodes):
         v = np.where(some, summed + self.dt * self.gravity, 0.0)
         self._place_colliders()
         self.contact.along_walls(self.offset)
-        if plan.keeps is not None:  # phases that do not share their pressure
+        if plan.flip is not None:  # phases that do not share their pressure
             by_itself = np.ones(len(v), bool)
             if plan.rules is not None:
                 by_itself = (plan.rules.mixture_set < 0) | ~np.asarray(plan.rules.fluid, bool)
@@ -260,7 +260,7 @@ class Numpy(SurfaceNodes):
         if self.sharing is not None:
             self.flux, self.share, self.full = self.sharing.flux(v, mass, volumes)
             v = v - self.drift
-        if plan.keeps is not None:
+        if plan.flip is not None:
             self.change = v - summed
         self.v = v
         self.carried.average()
@@ -297,7 +297,7 @@ class Numpy(SurfaceNodes):
         fields = [(self.v, self.mirrors)]
         if self.sharing is not None:
             fields += [(self.flux, 0.0), (self.drift, 0.0)]
-        if self.plan.keeps is not None:
+        if self.plan.flip is not None:
             fields.append((self.change, self.kept))
         return fields
 
@@ -316,7 +316,7 @@ class Numpy(SurfaceNodes):
         bounds = max(speeds), 0.0, 0.0
         return StepReport(rate, stray, bounds, failed, [])
 
-    def restore(self, times: int) -> list[AccumulatorOverflow]:
+    def correct_transfers(self, times: int) -> list[AccumulatorOverflow]:
         """Add `times` the motion that a step of no time has taken from the particles."""
         self.shifting.replace_mass(self.mass, self.groups, self.stencils)
         fullness = self.shifting.nodal_fullness(
@@ -347,9 +347,9 @@ class Numpy(SurfaceNodes):
         v, L = dense.gather(self.v[p], stencil), dense.gather_slopes(self.v[p], stencil)
         trace, transport = np.abs(np.trace(L, axis1=1, axis2=2)), v
         new_velocity = v
-        if self.plan.keeps is not None:
+        if self.plan.flip is not None:
             kept_velocity = get_channel(group, "v") + dense.gather(self.change[p], stencil)
-            new_velocity = v + self.plan.keeps.over(self.dt) * (kept_velocity - v)
+            new_velocity = v + self.plan.flip.over(self.dt) * (kept_velocity - v)
         put_channel(group, "v", new_velocity)
         put_channel(group, "C", L.reshape(-1, 9))
         if plan.shares:
