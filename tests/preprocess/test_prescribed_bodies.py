@@ -224,7 +224,7 @@ def test_while_all_is_held_steps_are_as_long_as_frames(tmp_path):
     simulation, _ = begin(tmp_path, text)
     advance(simulation, 0.02)
     assert simulation.step < 4
-    assert [len(one.things) for one in simulation.plan.driven] == [2]  # let go together
+    assert [len(one.objects) for one in simulation.plan.driven] == [2]  # let go together
     advance(simulation, 0.03)
     assert simulation.step > 20
 

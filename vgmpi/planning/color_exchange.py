@@ -32,11 +32,11 @@ def color_sets(scene: Scene) -> list[int | None]:
     Bodies of one phase, and of fluids that mix, are in one set. Scenery has None. Files store the
     number (`color_group` of an object), so that a renderer need not know of couplings.
     """
-    phase_of = [scene.phase_of(entity) for entity in scene.things]
+    phase_of = [scene.phase_of(entity) for entity in scene.entities]
     names = sorted({name for name in phase_of if name is not None})
     number = {name: k for k, name in enumerate(names)}
     numbers_of: dict[str, set[int]] = {}
-    for entity, name in zip(scene.things, phase_of, strict=True):
+    for entity, name in zip(scene.entities, phase_of, strict=True):
         if name is not None:
             numbers_of.setdefault(str(entity.material), set()).add(number[name])
     pairs = [(k, k) for k in range(len(names))]  # every phase is paired with itself
@@ -64,7 +64,7 @@ def color_exchange(scene: Scene, phases, shades: np.ndarray | None) -> ColorExch
     travelling = _travelling_objects(scene)
     width = COEFFICIENTS[scene.appearance.color_sh_degree]
     if shades is None:
-        shades = np.zeros((len(scene.things), 2, width, 3)) + np.array([0.0, 1.0])[:, None, None]
+        shades = np.zeros((len(scene.entities), 2, width, 3)) + np.array([0.0, 1.0])[:, None, None]
     shades = shades[:, :, :width]
     set_of = np.full(len(phases), -1)
     count = np.zeros(len(phases), np.int64)
@@ -94,7 +94,7 @@ def _travelling_objects(scene: Scene) -> set[int]:
     """Return the rows of the objects whose colors travel."""
     names = scene.appearance.color_objects
     rows = set()
-    for k, entity in enumerate(scene.things):
+    for k, entity in enumerate(scene.entities):
         if entity.material:
             fluid = scene.material[entity.material].family == "fluid"
             if fluid if names is None else entity.name in names:

@@ -157,7 +157,7 @@ def outlet_plans(scene: Scene) -> tuple[OutletPlan, ...]:
             low[axis] = size[axis] - dx
         else:
             high[axis] = dx
-        since = scene.domain.opens[WALLS.index(name)] or 0.0
+        since = scene.domain.wall_opening_times[WALLS.index(name)] or 0.0
         plans.append(OutletPlan(name, Shape.model_validate({"box": [low, high]}), since))
     return tuple(plans)
 

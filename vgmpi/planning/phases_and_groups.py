@@ -154,7 +154,7 @@ def phases_with_surface(scene: Scene) -> frozenset[str]:
     These are phases of solids alone, in scenes with something to touch.
     """
     families: dict[str, set[str]] = {}
-    for entity in scene.things:
+    for entity in scene.entities:
         if entity.material is not None:
             kinds = families.setdefault(scene.phase_of(entity) or "", set())
             kinds.add(scene.material[entity.material].family)
@@ -181,7 +181,7 @@ def phases_of(
     """
     members = {name: list(rows) for name, rows in driven.items()}
     for k in bodies:
-        members.setdefault(scene.phase_of(scene.things[k]) or "", []).append(k)
+        members.setdefault(scene.phase_of(scene.entities[k]) or "", []).append(k)
     names = sorted(members)
 
     def mastery(name):
@@ -199,7 +199,7 @@ def phases_of(
     densities = {
         name: [
             scene.material[m].bulk_density
-            for k in members[name] for m in scene.materials_of(scene.things[k])
+            for k in members[name] for m in scene.materials_of(scene.entities[k])
         ]
         for name in names
     }  # fmt: skip
@@ -223,7 +223,7 @@ def phases_of(
 
 def _shares_space(scene: Scene, k: int) -> bool:
     """Return whether a coupling lets a body or an inlet lie in the same space as another."""
-    own = set(scene.materials_of(scene.things[k]))
+    own = set(scene.materials_of(scene.entities[k]))
     return any(c.rule != CONTACT and not own.isdisjoint(c.between) for c in scene.coupling)
 
 
@@ -243,19 +243,21 @@ def groups_of(
     Returns:
         The groups, and the number of each object's group, -1 for scenery.
     """
-    key = {k: (scene.phase_of(scene.things[k]) or "", scene.things[k].material) for k in bodies}
-    parts = {k: [(key[k][0], m) for m in scene.materials_of(scene.things[k])] for k in bodies}
+    key = {k: (scene.phase_of(scene.entities[k]) or "", scene.entities[k].material) for k in bodies}
+    parts = {k: [(key[k][0], m) for m in scene.materials_of(scene.entities[k])] for k in bodies}
     pairs = sorted({pair for pairs in parts.values() for pair in pairs})
     number = {phase.name: k for k, phase in enumerate(phases)}
     deforming = {
-        pair for k in parts if stores_deformation(scene, scene.things[k]) for pair in parts[k]
+        pair for k in parts if stores_deformation(scene, scene.entities[k]) for pair in parts[k]
     }
     groups = (make_group(number[p], p, m, scene.material[m], real) for p, m in pairs)
     result = tuple(
         _with_deformation(group, names in deforming, phases[group.phase].surface)
         for names, group in zip(pairs, groups, strict=True)
     )
-    return result, tuple(pairs.index(key[k]) if k in key else -1 for k in range(len(scene.things)))
+    return result, tuple(
+        pairs.index(key[k]) if k in key else -1 for k in range(len(scene.entities))
+    )
 
 
 def _with_deformation(group: GroupPlan, drawn: bool, surface: bool) -> GroupPlan:
@@ -430,7 +432,7 @@ def with_soft_bodies(
     pulls = [scene.domain.gravity, *(key.gravity for key in keys)]
     weight = max(math.hypot(*pull) for pull in pulls) * math.fsum(
         volume[k] * scene.material[entity.material].bulk_density
-        for k, entity in enumerate(scene.things)
+        for k, entity in enumerate(scene.entities)
         if entity.material is not None and scene.material[entity.material].family != "fluid"
     )
     return tuple(
@@ -447,7 +449,7 @@ def _is_soft(scene, phase, p, groups, weight, pulls, volume, center) -> bool:
     Weight [N] or speed can be too much. Particles of captures lie outside of the smoothed surface
     that contact sees, and would sink through a wall before it acts.
     """
-    if any(getattr(scene.things[k], "gaussians", None) for k in phase.objects):
+    if any(getattr(scene.entities[k], "gaussians", None) for k in phase.objects):
         return True
     own = [group for group in groups if group.phase == p]
     waves = [float(law_function(group.law, "wave_speed2")(group.law, group.rest)) for group in own]
@@ -469,4 +471,4 @@ def _speed_squared(scene, k, pulls, size, center) -> float:
         wall = 0.0 if pull[axis] < 0 else scene.domain.size[axis]
         height = max(abs(center[axis] - wall) - 0.5 * size, 0.0)
         fastest = max(fastest, 2.0 * abs(pull[axis]) * height)
-    return fastest + scene.things[k].speed ** 2
+    return fastest + scene.entities[k].speed ** 2

@@ -114,7 +114,7 @@ class Plan:
     sinks: tuple[OutletPlan, ...] = ()
     driven: tuple[PrescribedBodyPlan, ...] = ()
     features: tuple[FeaturePlan, ...] = ()  # optional features, in the order in which they act
-    opens: tuple[float | None, ...] = (None,) * 6  # [s] when each wall vanishes
+    wall_opening_times: tuple[float | None, ...] = (None,) * 6  # [s] when each wall vanishes
     holding_walls: tuple[str, ...] = ()  # slip walls that also hold back the bodies on them
     regions: tuple[RegionPlan, ...] = ()  # parts of bodies of another material, if known
 
@@ -131,7 +131,9 @@ class Plan:
     def has_releases(self) -> bool:
         """True if bodies, parts of them or walls are released at a time."""
         parts = any(feature.released_parts() for feature in self.features)
-        return bool(self.driven) or parts or any(time is not None for time in self.opens)
+        return (
+            bool(self.driven) or parts or any(time is not None for time in self.wall_opening_times)
+        )
 
     @property
     def phases_of_bodies(self) -> int:
@@ -223,7 +225,7 @@ class Plan:
                 # A quarter is spare, segments are padded to 16, sorting needs three index arrays.
                 total += int(n * (1.4 * self.bytes_per_particle(self.group_of[k]) + 24))
         for body in self.driven:  # they have space in two groups
-            n = sum(self.count[k] for k in body.things)
+            n = sum(self.count[k] for k in body.objects)
             total += int(n * 1.4 * self.bytes_per_particle(body.group_after_release))
         width, nodes = self.real.itemsize, 64 * 4
         sum_bytes = 8 * (1 if width == 4 else 2) + width  # a reproducible sum, and its value
@@ -255,7 +257,7 @@ def make_plan(
         extents: Corners, see `prescribed_bodies.prescribed_body_plans`.
         prepared: Prepared data of features by name, see scene/scene_feature.py.
     """
-    bodies = {k: scene.material[t.material] for k, t in enumerate(scene.things) if t.material}
+    bodies = {k: scene.material[t.material] for k, t in enumerate(scene.entities) if t.material}
     real, n = FLOAT_TYPES[scene.accuracy.precision], len(volume)
     center, surface = center or [[0.0] * 3] * n, surface or [False] * n
     phases = phases_of(scene, bodies, volume, center, surface, prescribed_phases(scene))
@@ -290,7 +292,8 @@ def make_plan(
         splines=scene.accuracy.gradient == "bspline",
         shift_interval=shift_interval(scene) * any(group.shifts for group in groups),
         gravity_ramp_time=scene.domain.gravity_ramp_time,
-        gravity_keys=gravity_keys(scene.domain), features=features, opens=tuple(scene.domain.opens),
+        gravity_keys=gravity_keys(scene.domain), features=features,
+        wall_opening_times=tuple(scene.domain.wall_opening_times),
         sources=inlet_plans(scene, group_of, count), sinks=outlet_plans(scene), driven=driven,
     )  # fmt: skip
     _check_steps(scene, plan)
@@ -375,7 +378,7 @@ def time_step_bounds(scene: Scene, plan: Plan, stiffened: bool = False) -> list[
             bound = dx**2 / (6.0 * coupling.diffusivity)
             bounds.append((bound, f"the diffusion of materials {first!r} and {second!r}"))
     speeds = [entity.speed for entity in scene.object] + [source.speed for source in plan.sources]
-    for k, entity in enumerate(scene.things):
+    for k, entity in enumerate(scene.entities):
         if entity.material is None:
             continue
         for name in scene.materials_of(entity):

@@ -31,7 +31,7 @@ class ReleaseLayer(NamedTuple):
 class PrescribedBodyPlan(NamedTuple):
     """Bodies with identically prescribed motion."""
 
-    things: tuple[int, ...]  # rows of the scene's objects
+    objects: tuple[int, ...]  # rows of the scene's objects
     group: int  # group while the motion is prescribed
     group_after_release: int  # group after the release
     course: Trajectory | None  # prescribed motion; None: the bodies are frozen

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 class RegionPlan(NamedTuple):
     """Region of a body."""
 
-    thing: int  # row of the object
+    object: int  # row of the object
     group: int  # group of its particles
     first: int  # id of its first particle
     particles: int  # number of its particles
@@ -44,7 +44,7 @@ def group_counts(plan: "Plan") -> list[tuple[int, int]]:
     Parts are regions and those of features. The group of scenery is -1.
     """
     counts = list(plan.count)
-    parts = [(region.thing, region.particles, region.group) for region in plan.regions]
+    parts = [(region.object, region.particles, region.group) for region in plan.regions]
     parts += [part for feature in plan.features for part in feature.parts()]
     for number, particles, _ in parts:
         counts[number] -= particles
@@ -62,7 +62,7 @@ def groups_of_particles(plan: "Plan", ids: np.ndarray, owner: np.ndarray) -> np.
     """
     groups = np.array(plan.group_of)[owner] if len(owner) else np.zeros(0, np.int64)
     for region in plan.regions:
-        is_inside = (owner == region.thing) & (ids >= region.first)
+        is_inside = (owner == region.object) & (ids >= region.first)
         groups[is_inside & (ids < region.first + region.particles)] = region.group
     for feature in plan.features:
         feature.assign_groups(ids, groups)

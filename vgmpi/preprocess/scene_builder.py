@@ -217,11 +217,11 @@ def _object_summary(scene: Scene, obj: Object, piece: BuiltObject) -> str:
 
 def _join(scene: Scene, pieces: list[BuiltObject]) -> PreparedScene:
     """Return the particles of all objects and inlets, joined."""
-    bodies = [k for k, entity in enumerate(scene.things) if entity.role != "scenery"]
+    bodies = [k for k, entity in enumerate(scene.entities) if entity.role != "scenery"]
     scenery_rows = [k for k, entity in enumerate(scene.object) if entity.role == "scenery"]
     terms = max(piece.cloud.sh.shape[1] for piece in pieces)
     objects, first_id, sets = [], 0, color_sets(scene)
-    for k, entity in enumerate(scene.things):
+    for k, entity in enumerate(scene.entities):
         count = len(pieces[k].cloud) if entity.role != "scenery" else 0
         objects.append(_describe(scene, entity, pieces[k], sets[k], first_id, count))
         first_id += count
@@ -267,7 +267,7 @@ def _colliders(scene: Scene, pieces: list[BuiltObject], x: np.ndarray) -> list[C
 
 def _velocity(scene: Scene, k: int, piece: BuiltObject) -> np.ndarray:
     """Return the initial velocities (n, 3) [m/s] of one object or inlet."""
-    entity = scene.things[k]
+    entity = scene.entities[k]
     if isinstance(entity, Inlet):
         return inlet_particles.velocity(scene, entity, len(piece.cloud))
     weights = particle_masses(scene, entity, piece) if piece.region_counts else piece.volume

@@ -67,14 +67,14 @@ class Scene:
         return self.domain.walls if self.accuracy.is_flip else self.domain.walls_of_solids
 
     @property
-    def things(self) -> tuple[Object | Inlet, ...]:
+    def entities(self) -> tuple[Object | Inlet, ...]:
         """Return objects, then inlets: all entities that particles can belong to."""
         return (*self.object, *self.inlet)
 
     @property
     def has_particles(self) -> bool:
         """Return whether an object or inlet has particles; else all bodies are rigid."""
-        return any(entity.material is not None for entity in self.things)
+        return any(entity.material is not None for entity in self.entities)
 
     @property
     def is_open_system(self) -> bool:

@@ -96,11 +96,11 @@ class Domain(StrictModel):
     @property
     def open_walls(self) -> list[str]:
         """Return the names of the walls at which particles end, at once or after a time."""
-        walls = zip(WALLS, self.walls, self.opens, strict=True)
+        walls = zip(WALLS, self.walls, self.wall_opening_times, strict=True)
         return [name for name, (kind, _), time in walls if kind == "open" or time is not None]
 
     @property
-    def opens(self) -> list[float | None]:
+    def wall_opening_times(self) -> list[float | None]:
         """Return the time [s] at which each of the six walls vanishes, None for never."""
         return [wall.removal_time for wall in self._walls]
 

@@ -166,7 +166,7 @@ def _run_all(plan: Plan, calls: list[tuple] | None = None) -> None:
     if plan.driven:
         group_of = list(plan.group_of)
         for body in plan.driven:
-            for k in body.things:
+            for k in body.objects:
                 group_of[k] = body.group_after_release
         _run(replace(plan, group_of=tuple(group_of)), calls)
 

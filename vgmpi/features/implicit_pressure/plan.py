@@ -151,6 +151,8 @@ def obstacles(
             key = "wall" if probe.wall else "collider"
             _refuse(("probe", k, key), "probes of forces on a wall or collider")
     kinds = {kind for kind, _ in scene.domain.walls}
-    if not kinds <= set(WALL_KINDS) or any(time is not None for time in scene.domain.opens):
+    if not kinds <= set(WALL_KINDS) or any(
+        time is not None for time in scene.domain.wall_opening_times
+    ):
         _refuse(("domain", "boundary"), "walls other than slip and stick")
     return wrong

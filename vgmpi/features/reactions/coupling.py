@@ -88,7 +88,7 @@ class Reactions(ActiveFeature):
             return self.colliders.index(name)
         if number in self.bodies_of_features:
             return self.first_row_of_features + self.bodies_of_features.index(number)
-        rows = [k for k, body in enumerate(self.plan.driven) if number in body.things]
+        rows = [k for k, body in enumerate(self.plan.driven) if number in body.objects]
         return len(self.colliders) + rows[0]
 
     def end_step(self, span: StepSpan, report: StepReport) -> StepReport:

@@ -35,12 +35,12 @@ class Releases(ActiveFeature):
     def next(self, time: float) -> float:
         """Return the time [s] of the next release after `time`; infinite if there is none."""
         times = [layer.time for layer, _ in self.layers]
-        times += [opens for opens in self.plan.opens if opens is not None]
+        times += [opens for opens in self.plan.wall_opening_times if opens is not None]
         return min((event for event in times if event > time * TIME_TOLERANCE), default=np.inf)
 
     def open_walls(self, time: float) -> None:
         """Open the walls that have vanished by `time` [s]."""
-        for wall, opens in enumerate(self.plan.opens):
+        for wall, opens in enumerate(self.plan.wall_opening_times):
             if opens is not None and opens <= time * TIME_TOLERANCE:
                 self.engine.open(wall)
 

@@ -220,7 +220,7 @@ def step_ns(scene: Scene, plan: Plan, pace: Throughput, coarsening: float = 1.0)
 
 def _rows(plan: Plan, g: int) -> list[int]:
     """Return the objects whose proximity is known, of which particles belong to group `g`."""
-    parts = {region.thing for region in plan.regions if region.group == g}
+    parts = {region.object for region in plan.regions if region.group == g}
     return [k for k, _ in enumerate(plan.surroundings) if plan.group_of[k] == g or k in parts]
 
 

@@ -82,7 +82,9 @@ def _walls(plan: Plan) -> list[str]:
         kind = plan.walls[k][0]
         if kind != wall and any(is_liquid):
             wall = kind if all(is_liquid) else f"{kind} for liquids and {wall} for the rest"
-        time = "" if plan.opens[k] is None else f" until {plan.opens[k]:g} s"
+        time = (
+            "" if plan.wall_opening_times[k] is None else f" until {plan.wall_opening_times[k]:g} s"
+        )
         walls.append(wall + (f" (friction {friction:g})" if friction else "") + time)
     return ["  walls       " + ", ".join(walls)]
 
@@ -90,8 +92,8 @@ def _walls(plan: Plan) -> list[str]:
 def _regions(scene: Scene, plan: Plan) -> list[str]:
     """Return a line for each region of a body."""
     return [
-        f"  region      {escape_control_characters(scene.object[region.thing].name)}:"
-        f" {region.particles:,} of its {plan.count[region.thing]:,} particles are of"
+        f"  region      {escape_control_characters(scene.object[region.object].name)}:"
+        f" {region.particles:,} of its {plan.count[region.object]:,} particles are of"
         f" {escape_control_characters(plan.groups[region.group].material)}"
         for region in plan.regions
     ]
@@ -175,9 +177,9 @@ def _sheets(plan: Plan) -> list[str]:
 def _bending(scene: Scene, plan: Plan) -> list[str]:
     """Return a line on the softness of coarse solids (tests/physics/test_cantilever.py)."""
     counts = {
-        scene.things[k].particles_per_cell
+        scene.entities[k].particles_per_cell
         for phase in plan.phases if phase.families == ("solid",) for k in phase.objects
-        if scene.things[k].particles_per_cell < FINE_COUNT
+        if scene.entities[k].particles_per_cell < FINE_COUNT
     }  # fmt: skip
     if not counts:
         return []
@@ -203,7 +205,7 @@ def preset_accuracy_lines(scene: Scene) -> list[str]:
     level = scene.accuracy.level
     if level is None:
         return []
-    used = {entity.material for entity in scene.things if entity.material}
+    used = {entity.material for entity in scene.entities if entity.material}
     families = {scene.material[name].family for name in used}
     rows = [row for row in accuracy_benchmarks() if row["family"] in families]
     rows = rows or list(accuracy_benchmarks())

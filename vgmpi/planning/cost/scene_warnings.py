@@ -86,7 +86,7 @@ def _stiff_liquids(scene: Scene, plan: Plan) -> list[str]:
 
 def _liquids(scene: Scene) -> dict[str, Any]:
     """Return the liquids that something is made of, by name."""
-    used = {entity.material for entity in scene.things}
+    used = {entity.material for entity in scene.entities}
     return {n: m for n, m in scene.material.items() if n in used and isinstance(m, Liquid)}
 
 

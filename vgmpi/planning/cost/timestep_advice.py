@@ -63,7 +63,7 @@ def soft_liquid_lines(
 def _largest_by_liquid(scene: Scene, pressures: tuple[float, ...]) -> dict[str, float]:
     """Return the largest of the pressures [Pa] of each liquid's bodies, by its name."""
     result: dict[str, float] = {}
-    for entity, pressure in zip(scene.things, pressures, strict=False):
+    for entity, pressure in zip(scene.entities, pressures, strict=False):
         if entity.material is not None and not math.isnan(pressure):
             result[entity.material] = max(result.get(entity.material, 0.0), pressure)
     return result

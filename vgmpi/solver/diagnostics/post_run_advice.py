@@ -113,7 +113,7 @@ def _scenery_advice(scene: Scene, plan: Plan, observed: RunObserver) -> list[str
     lines = []
     for p, phase in enumerate(plan.phases):
         mass = observed.mass.get(phase.name, 0.0)
-        prescribed = any(k in driven.things for driven in plan.driven for k in phase.objects)
+        prescribed = any(k in driven.objects for driven in plan.driven for k in phase.objects)
         if phase.families != ("solid",) or prescribed or mass <= 0.0:
             continue
         density = max(g.density for g in plan.groups if g.phase == p)
@@ -130,7 +130,7 @@ def _scenery_advice(scene: Scene, plan: Plan, observed: RunObserver) -> list[str
 def _as_scenery(scene: Scene, plan: Plan, k: int) -> str:
     """Return the line that advises to make object number `k` scenery."""
     return (
-        f"advice: body '{escape_control_characters(scene.things[k].name)}' neither moved nor"
+        f"advice: body '{escape_control_characters(scene.entities[k].name)}' neither moved nor"
         f" deformed: as scenery with collider = true, {scene.place(('object', k))}, it would save"
         f" {plan.count[k]:,} of {plan.particles:,} particles"
     )

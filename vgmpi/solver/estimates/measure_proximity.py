@@ -39,12 +39,13 @@ def measure_proximity(
 
     Args:
         scene: The scene.
-        positions: Particle positions of each body, shape (n, 3) [m], in the order of scene.things.
+        positions: Particle positions of each body, shape (n, 3) [m], in the order of
+            `Scene.entities`.
         colliders: Colliders, which count where they are at the start.
     """
     lattice = BlockLattice(scene.domain.cells, scene.domain.cell)
     blocks = [_blocks(lattice, x) for x in positions]
-    phase_of = [scene.phase_of(entity) for entity in scene.things[: len(positions)]]
+    phase_of = [scene.phase_of(entity) for entity in scene.entities[: len(positions)]]
     for name, rows in prescribed_phases(scene).items():
         for k in rows:
             phase_of[k] = name

@@ -168,7 +168,7 @@ def _rows(simulation, saved, g, first, block):
         usual = groups_of_particles(plan, ids, owner)
         wrong = usual != g
         for body in plan.driven:  # released particles are in the group that they join
-            wrong &= ~(np.isin(owner, body.things) & (body.group_after_release == g))
+            wrong &= ~(np.isin(owner, body.objects) & (body.group_after_release == g))
         released = [part for feature in plan.features for part in feature.released_parts()]
         wrong &= ~np.isin(usual, [part.group for part in released if part.group_after_release == g])
         for feature in plan.features:

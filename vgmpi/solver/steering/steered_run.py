@@ -137,7 +137,7 @@ class Run:
             ball = run.ids("ball")
             ```
         """
-        names = [entity.name for entity in self._inner.scene.things]
+        names = [entity.name for entity in self._inner.scene.entities]
         if name not in names:
             hint = did_you_mean(name, names)
             raise KeyError(f"there is no object '{name}'{hint}; there are {', '.join(names)}")
