@@ -46,7 +46,7 @@ def compare_bits(
         ours, theirs = found
         other = [key for key in {**ours, **theirs} if ours.get(key) != theirs.get(key)]
         different += bool(other)
-        verdict = f"{len(other)} differ, {other[0]} first" if other else "all equal"
+        verdict = f"{len(other)} differ: {', '.join(other[:4])}" if other else "all equal"
         yield f"{name}: {len(ours)} datasets, {verdict}"
     yield f"{different} of {len(scenes)} scenes differ"
 
@@ -64,15 +64,26 @@ def _datasets(
         lines = (job.stderr + job.stdout).strip().splitlines() or [f"exit code {job.returncode}"]
         raise BenchError(f"{checkout}, {scene}: {lines[-1]}")
     return {
-        name: _state_of_attributes(out, name) if name.endswith(":attrs") else value
+        name: _content(out, name) if name.endswith((":attrs", ":scene")) else value
         for name, value in digests(out).items()
-        if ":" in name
+        if ":" in name and not name.endswith(":crc")  # of the texts, too
     }
 
 
-def _state_of_attributes(out: Path, name: str) -> str:
-    """Return the attributes of a checkpoint without the versions of the program."""
-    with h5py.File(out / name.split(":")[0]) as file:
-        attributes = json.loads(file["attrs"][()])
-    attributes.pop("versions")
-    return json.dumps(attributes, sort_keys=True)
+def _content(out: Path, name: str) -> str:
+    """Return what a file says, in one order: no versions, no report, no empty lists of a scene.
+
+    Args:
+        out: Folder of the run.
+        name: File and dataset, with a colon between.
+    """
+    path, dataset = name.split(":")
+    with h5py.File(out / path) as file:
+        value = json.loads(file[dataset][()])
+    for key in ("versions", "plan_report"):
+        value.pop(key, None)
+    for table in (value, value.get("scene")):
+        if isinstance(table, dict):
+            for key in [key for key, rows in table.items() if rows == []]:
+                del table[key]
+    return json.dumps(value, sort_keys=True)
