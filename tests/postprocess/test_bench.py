@@ -56,5 +56,4 @@ def test_a_fluid_hides_nothing(capsys):
     _, left = rasterize.render(subject.look.splats(subject.frame, camera.eye), camera)
     assert left.min() > 0.3
     assert render_speed.main(["--kernels", "2000", "--rounds", "1", "--fluid"]) == 0
-    assert render_speed.main(["--kernels", "2000", "--rounds", "1", "--surface"]) == 0
     assert capsys.readouterr().out.splitlines()[-1].split()[0] == "2000"
