@@ -1,42 +1,37 @@
 """Features of a run, in the order in which they act; it is part of the results."""
 
 from importlib import import_module
+from typing import NamedTuple
 
 from vgmpi.scene import scene_feature
 
 from .active_feature import ActiveFeature, StartContext
 
-# Features that are not in FEATURES yet: name in Simulation.features -> module and function that
-# starts it; None marks the places of features of a plan between these
-STARTS: dict[str, tuple[str, str] | None] = {
-    "flow_accounting": ("inlets_outlets.flow_accounting", "start"),
-    "loads": None,
-    "moving_colliders": ("moving_colliders.coupling", "start"),
-    "implicit_pressure": None,
-    "surface_slip": None,
-    "pinned_parts": None,
-    "rigid_bodies": None,
-    "prescribed_motion": ("prescribed_motion.coupling", "start"),
-    "reactions": None,
-    "inlets": ("inlets_outlets.coupling", "start_inlets"),
-    "outlets": ("inlets_outlets.coupling", "start_outlets"),
-    "releases": ("releases.coupling", "start"),
-    "thin_walls": None,
+
+class Start(NamedTuple):
+    """Start of what acts in a run and has no plan of its own."""
+
+    module: str  # in vgmpi/features
+    function: str
+    following: str  # feature of the list before which it acts
+
+
+# by name in Simulation.features: features that are not in FEATURES yet
+STARTS = {
+    "flow_accounting": Start("inlets_outlets.flow_accounting", "start", "wave_zones"),
+    "moving_colliders": Start("moving_colliders.coupling", "start", "implicit_pressure"),
+    "prescribed_motion": Start("prescribed_motion.coupling", "start", "reactions"),
+    "inlets": Start("inlets_outlets.coupling", "start_inlets", "thin_walls"),
+    "outlets": Start("inlets_outlets.coupling", "start_outlets", "thin_walls"),
+    "releases": Start("releases.coupling", "start", "thin_walls"),
 }
 
 
 def order_of_features() -> list[str]:
-    """Return the names of all features in the order in which they act.
-
-    One of FEATURES that has no place in STARTS acts before the next that has one, or last.
-    """
-    order = list(STARTS)
-    following = len(order)
-    for name in reversed(scene_feature.FEATURES):
-        if name in STARTS:
-            following = order.index(name)
-        else:
-            order.insert(following, name)
+    """Return the names of all features in the order in which they act."""
+    order = list(scene_feature.FEATURES)
+    for name, start in STARTS.items():
+        order.insert(order.index(start.following), name)
     return order
 
 
@@ -51,9 +46,9 @@ def start_features(context: StartContext, features: dict[str, ActiveFeature]) ->
     row = context.first_reaction_row
     for name in order_of_features():
         feature = None
-        if place := STARTS.get(name):
-            module, function = place
-            feature = getattr(import_module(f"vgmpi.features.{module}"), function)(context)
+        if own := STARTS.get(name):
+            module = import_module(f"vgmpi.features.{own.module}")
+            feature = getattr(module, own.function)(context)
         elif name in plans:
             feature = plans[name].start(context._replace(first_reaction_row=row))
             row += len(plans[name].reaction_bodies())

@@ -16,6 +16,7 @@ from .inlet_geometry import (
     too_small,
 )
 from .objects import checked_name, default_alpha_min, per_cell, validate_exactly_one
+from .probes import refuse_balance
 from .sections import Domain
 from .shapes import Axis, Shape, validate_shape
 
@@ -194,5 +195,4 @@ def validate_balance(probes: list[Any], flows: bool, objects: list[Any]) -> list
     message = "is not for scenes where particles come or go: these are no part of its balance"
     if prescribed:
         message = "is not for scenes with bodies that are driven: what drives them is no part of it"
-    every = enumerate(probes)
-    return [(("probe", k, "wall"), message) for k, probe in every if probe and probe.wall == "all"]
+    return refuse_balance(probes, message)

@@ -222,8 +222,7 @@ class SceneLoader:
 
     def objects(self, raw: Any, kinds: dict[str, Any]) -> list[Any]:
         """Return the objects, None in place of invalid ones."""
-        if not isinstance(raw, list) or not all(isinstance(item, dict) for item in raw):
-            self.report(("object",), "must be a list of tables: [[object]]")
+        if not self.is_table_list(raw, "object"):
             return []
         objects: list[Any] = []
         first: dict[str, int] = {}
@@ -287,13 +286,19 @@ class SceneLoader:
             elif domain.gravity_ramp_time:
                 self.report(path, "needs gravity from the start: domain.gravity_ramp_time is set")
 
+    def is_table_list(self, raw: Any, name: str) -> bool:
+        """Return whether a value can be a list [[name]]; report it if not."""
+        is_list = isinstance(raw, list) and all(isinstance(item, dict) for item in raw)
+        if not is_list:
+            self.report((name,), f"must be a list of tables: [[{name}]]")
+        return is_list
+
     def table_list(self, raw: Any, name: str, table: type[BaseModel], complaints) -> list[Any]:
         """Return the tables of a list [[name]], None in place of invalid ones.
 
         `complaints(raw, table or None)` returns (path, message) of all further errors of one table.
         """
-        if not isinstance(raw, list) or not all(isinstance(item, dict) for item in raw):
-            self.report((name,), f"must be a list of tables: [[{name}]]")
+        if not self.is_table_list(raw, name):
             return []
         tables = [self.table(table, item, (name, k)) for k, item in enumerate(raw)]
         first: dict[str, int] = {}
@@ -313,8 +318,7 @@ class SceneLoader:
         """
         for name, tables in feature.lists.items():
             raw = data.get(name, [])
-            if not isinstance(raw, list) or not all(isinstance(item, dict) for item in raw):
-                self.report((name,), f"must be a list of tables: [[{name}]]")
+            if not self.is_table_list(raw, name):
                 read.lists[name] = [None]
                 continue
             common, first = tables.tables.get(""), dict[str, int]()

@@ -141,6 +141,17 @@ def validate_probe(
     return errors
 
 
+def refuse_balance(probes: list, message: str) -> list[tuple[tuple, str]]:
+    """Return (path, message) of probes that measure by the balance of momentum of all walls.
+
+    Args:
+        probes: Probes of the scene, None in place of invalid ones.
+        message: Why the balance is not closed.
+    """
+    every = enumerate(probes)
+    return [(("probe", k, "wall"), message) for k, probe in every if probe and probe.wall == "all"]
+
+
 def collider_names(objects: list[Object | None]) -> list[str] | None:
     """Return the names of colliders and of prescribed bodies, or None if an object is invalid."""
     if None in objects:

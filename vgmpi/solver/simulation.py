@@ -237,7 +237,7 @@ class Simulation:
         mark, engine, features = self.clock or (lambda name: None), self.engine, self.features
         for feature in features.values():
             feature.begin_step(span)  # motions from n to n + 1
-        overflows = self._correct_transfers(dt)
+        overflows = self._correct_if_due(dt)
         speed = sum(feature.push_particles(span) for feature in features.values())
         gravity = self._gravity_in(span)
         engine.begin(dt, gravity, self.particle_maxima.fastest(self.plan, dt, speed))
@@ -269,7 +269,7 @@ class Simulation:
             return self.plan.gravity_between(span.start, span.end)
         return self.gravity
 
-    def _correct_transfers(self, dt: float) -> list[AccumulatorOverflow]:
+    def _correct_if_due(self, dt: float) -> list[AccumulatorOverflow]:
         """Restore motion and shift particles before a step of dt [s] in which they are due."""
         origins = (feature.correction_origin for feature in self.features.values())
         steps = self.step - max(origins, default=0)

@@ -6,6 +6,7 @@ transfer to the grid (coupling.py). See [[load]] in docs/reference/scene.md.
 
 from typing import Any
 
+from vgmpi.scene.probes import refuse_balance
 from vgmpi.scene.scene_feature import (
     Errors,
     InitialParticles,
@@ -45,8 +46,7 @@ class Loads(SceneFeature):
         if not any(load and load.damping is not None for load in tables.lists["load"]):
             return []
         message = "is not for scenes with a load of damping: its force is no part of the balance"
-        walls = [k for k, probe in enumerate(probes) if probe and probe.wall == "all"]
-        return [(("probe", k, "wall"), message) for k in walls]
+        return refuse_balance(probes, message)
 
     def prepare(self, scene: Any, particles: InitialParticles, colliders: list) -> Any:
         """Return the loads with their particles, or None without any.

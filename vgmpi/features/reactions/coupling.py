@@ -13,10 +13,8 @@ from vgmpi.features.active_feature import ActiveFeature, StartContext
 from vgmpi.io.checkpoint import Checkpoint, Mismatch, is_number
 from vgmpi.kernels.reaction_impulses import NUMBERS, WALLS
 from vgmpi.kernels.step_records import ParticleBounds, StepReport, StepSpan
-from vgmpi.planning.feature_plan import FeaturePlan
 from vgmpi.planning.plan import Plan
 from vgmpi.planning.region_groups import group_counts
-from vgmpi.planning.step_costs import ProximityCost, StageCost
 
 HEADROOM = 16.0  # [mass times cell per step] upper bound of the sum of impulses in one step
 ACCUMULATOR_BITS = 62  # [bits] size of the integers that hold the sums
@@ -143,26 +141,6 @@ class Reactions(ActiveFeature):
         totals = np.array(state["totals"], np.float64)
         if totals.shape == self.totals.shape:
             self.totals, self.mass = totals, float(state["mass"])
-
-
-class ReactionsPlan(FeaturePlan):
-    """Reactions of a run."""
-
-    name, title = "reactions", "probes of what colliders give"
-    numbers_colliders = True
-    collider_cost = ProximityCost(StageCost(0.0, 0.05), StageCost(0.0, 60.0))
-
-    def for_compilation(self) -> "ReactionsPlan":
-        """Return this plan: all kernels add to the sums."""
-        return self
-
-    def start(self, context: Any) -> Any:
-        """Return the reactions as they act in a run.
-
-        Args:
-            context: See `FeaturePlan.start`.
-        """
-        return Reactions(context)
 
 
 def _power_of_two_above(value: float) -> float:

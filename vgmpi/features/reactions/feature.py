@@ -21,7 +21,7 @@ class Reactions(SceneFeature):
         """
         if not any(probe.measures_reaction for probe in draft.scene.probe):
             return None, draft
-        from .coupling import ReactionsPlan  # it compiles
+        from .plan import ReactionsPlan
 
         return ReactionsPlan(), draft
 

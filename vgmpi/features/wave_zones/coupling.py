@@ -94,7 +94,7 @@ class WaveZones(ActiveFeature):
         zone, real = each.zone, self.plan.real
         speed = each.amplitude(span.end) * each.frequency / -math.expm1(-2.0 * each.reach)
         constants = ZoneConstants(
-            each.axis, float(each.direction), each.outer, each.length,
+            zone.axis, float(zone.direction), zone.outer_place, zone.length,
             np.array(zone.corners[0]), np.array(zone.corners[1]), zone.level, each.number, speed,
             zone.depth, zone.height, each.frequency * span.end, zone.relaxation_rate * span.dt,
             group.plan.channels.first("C") if self.plan.affine else -1,

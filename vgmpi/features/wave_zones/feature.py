@@ -10,6 +10,7 @@ from pydantic import BeforeValidator, model_validator
 
 from vgmpi.runtime.config.schema import Length, Point, Positive, Quantity, StrictModel
 from vgmpi.scene.objects import checked_name
+from vgmpi.scene.probes import refuse_balance
 from vgmpi.scene.scene_feature import Errors, SceneFeature, SceneTables, TableList
 
 # axis of each face, and the direction in which waves leave it for the domain
@@ -51,9 +52,9 @@ class WaveZone(StrictModel):
 
     @model_validator(mode="after")
     def _has_extent(self) -> "WaveZone":
-        axis = OUTER_FACES[self.outer][0]
         if any(low >= high for low, high in zip(*self.corners)):
-            raise ValueError(f"box must have an extent along each axis, {'xyz'[axis]} above all")
+            name = "xyz"[self.axis]
+            raise ValueError(f"box must have an extent along each axis, {name} above all")
         return self
 
     @property
@@ -61,6 +62,27 @@ class WaveZone(StrictModel):
         """Return the lowest and the highest corner of the box [m]."""
         rows = list(zip(*self.box))
         return tuple(map(min, rows)), tuple(map(max, rows))
+
+    @property
+    def axis(self) -> int:
+        """Return the axis along which its waves run, 0 or 1."""
+        return OUTER_FACES[self.outer][0]
+
+    @property
+    def direction(self) -> int:
+        """Return whether they run towards higher coordinates, 1, or lower ones, -1."""
+        return OUTER_FACES[self.outer][1]
+
+    @property
+    def outer_place(self) -> float:
+        """Return the coordinate [m] of the outer face."""
+        return self.corners[0 if self.direction > 0 else 1][self.axis]
+
+    @property
+    def length(self) -> float:
+        """Return its length [m] along the way of its waves."""
+        low, high = self.corners
+        return high[self.axis] - low[self.axis]
 
     @property
     def relaxation_rate(self) -> float:
@@ -140,8 +162,7 @@ class WaveZones(SceneFeature):
         if not any(zone is not None for zone in tables.lists["wave_zone"]):
             return []
         message = "is not for scenes with a wave zone: its force is no part of the balance"
-        walls = [k for k, probe in enumerate(probes) if probe and probe.wall == "all"]
-        return [(("probe", k, "wall"), message) for k in walls]
+        return refuse_balance(probes, message)
 
     def plan(self, draft: Any, prepared: Any) -> tuple[Any, Any]:
         """Return the plan of the zones, or None without any, and the draft as it is.
@@ -166,13 +187,12 @@ def _check_zone(zone: WaveZone, size: tuple, gravity: float) -> list[tuple[str, 
         gravity: Strength of gravity [m/s2].
     """
     errors = []
-    axis, direction = OUTER_FACES[zone.outer]
     for a, (low, high) in enumerate(zip(*zone.corners)):
         if high <= 0.0 or low >= size[a]:
             allowed = f"0 to {size[a]:g} m along {'xyz'[a]}"
             errors.append(("box", f"is outside of the domain, {allowed}"))
-    outer = zone.corners[0 if direction > 0 else 1][axis]
-    if not -1e-6 * size[axis] <= outer <= (1 + 1e-6) * size[axis]:
+    outer, length = zone.outer_place, size[zone.axis]
+    if not -1e-6 * length <= outer <= (1 + 1e-6) * length:
         message = f"the face is at {outer:g} m, outside of the domain: no wave would be whole"
         errors.append(("outer", message))
     if not zone.corners[0][2] < zone.level <= size[2]:

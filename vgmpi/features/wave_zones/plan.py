@@ -9,7 +9,7 @@ from vgmpi.planning.plan import Plan
 from vgmpi.runtime.config.toml_source import escape_control_characters
 from vgmpi.scene.scene import Scene
 
-from .feature import OUTER_FACES, WaveZone, wave_number
+from .feature import WaveZone, wave_number
 
 MIN_HEIGHT_CELLS = 1.0  # [cells] height of waves below which the plan warns
 
@@ -18,12 +18,12 @@ class ZonePlan(NamedTuple):
     """Zone with its wave, in SI units."""
 
     zone: WaveZone
-    axis: int  # 0 or 1, along which waves run
-    direction: int  # 1: towards higher coordinates
-    outer: float  # [m] coordinate of the outer face
-    length: float  # [m] of the zone along the axis
     number: float  # [rad/m] wave number
-    frequency: float  # [rad/s] angular frequency
+
+    @property
+    def frequency(self) -> float:
+        """Return the angular frequency [rad/s]."""
+        return 2.0 * math.pi / self.zone.period
 
     @property
     def max_speed(self) -> float:
@@ -70,7 +70,7 @@ class WaveZonesPlan(FeaturePlan):
             )
             lines.append(
                 f"  wave zone   {escape_control_characters(each.zone.name)} {purpose}, wavelength"
-                f" {wave:.4g} m, {wave / plan.dx:.1f} cells; its length {each.length:.4g} m"
+                f" {wave:.4g} m, {wave / plan.dx:.1f} cells; its length {each.zone.length:.4g} m"
             )
         return lines
 
@@ -114,12 +114,7 @@ def plan_wave_zones(zones: Sequence[WaveZone], scene: Scene) -> WaveZonesPlan:
         zones: The zones.
         scene: The scene.
     """
-    plans = []
-    for zone in zones:
-        axis, direction = OUTER_FACES[zone.outer]
-        low, high = (corner[axis] for corner in zone.corners)
-        number = wave_number(zone.period, zone.depth, -scene.domain.gravity[2])
-        outer = low if direction > 0 else high
-        frequency = 2.0 * math.pi / zone.period
-        plans.append(ZonePlan(zone, axis, direction, outer, high - low, number, frequency))
-    return WaveZonesPlan(tuple(plans))
+    gravity = -scene.domain.gravity[2]
+    return WaveZonesPlan(
+        tuple(ZonePlan(zone, wave_number(zone.period, zone.depth, gravity)) for zone in zones)
+    )

@@ -82,8 +82,9 @@ class Cpu(KernelCaller):
         )  # fmt: skip
         self.walls, self.phases = wall_table(plan), phase_table(plan)
         self.apart = any(group.apart for group in plan.groups)
-        self.layers = {layer.name: layer for layer in nodal_fields(plan, self.apart, self.LAYER)}
         self.requests = FieldRequests(plan)
+        fields = nodal_fields(self.requests, self.apart, self.LAYER)
+        self.layers = {field.name: field for field in fields}
         self.number_of_field = {name: k for k, name in enumerate(self.layers)}
         self.words = reproducible_sums.accumulator_words(plan.real)
         self.as_one = phase_sets(plan)
@@ -164,7 +165,7 @@ class Cpu(KernelCaller):
         self.parts = []
         for group, own, partition in zip(self.groups, rows, partitions, strict=True):
             context = group_context(
-                self.plan, group, tables, own, target[own], partition, self._mirror(group),
+                self.requests, group, tables, own, target[own], partition, self._mirror(group),
                 self.reactions,
             )  # fmt: skip
             self.parts.append(context)

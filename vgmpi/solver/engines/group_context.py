@@ -42,14 +42,14 @@ class GroupContext(NamedTuple):
 
 
 def group_context(
-    plan: Plan, group: ParticleGroup, tables: ExchangeTopology, rows: np.ndarray,
+    requests: FieldRequests, group: ParticleGroup, tables: ExchangeTopology, rows: np.ndarray,
     target: np.ndarray, partition: ThreadPartition, mirror: np.ndarray,
     reactions: ReactionAccumulators | None,
 ) -> GroupContext:  # fmt: skip
     """Return the kernel arguments of a group.
 
     Args:
-        plan: Plan of the run.
+        requests: Requested fields of the run.
         group: The group.
         tables: Exchange topology of this rank.
         rows: Segments of the group in the tables, shape (n,).
@@ -58,6 +58,7 @@ def group_context(
         mirror: Codes of the walls that the segments meet.
         reactions: Accumulators of reactions, or None.
     """
+    plan = requests.plan
     contributes = {name: chosen[rows] for name, chosen in tables.contributes.items()}
     is_apart = any(other.apart for other in plan.groups)
     split = contributes["impulses"] if is_apart else np.zeros(len(rows), bool)
@@ -68,12 +69,12 @@ def group_context(
         position_limits(group.block, plan.cells), mirror,
     )  # fmt: skip
     at_nodes, surface = split_contributions(
-        plan, group, tables, rows, mirror, contributions(plan, group.plan, contributes, split)
+        plan, group, tables, rows, mirror, contributions(requests, group.plan, contributes, split)
     )
     return GroupContext(
         group, segments, partition, at_nodes,
-        timeless_contributions(plan, group.plan, contributes, split),
-        FieldRequests(plan).carried_by(group.plan),
+        timeless_contributions(requests, group.plan, contributes, split),
+        requests.carried_by(group.plan),
         numbers_of(plan, group.plan),
         None if reactions is None else reactions.ghosts(group.block, mirror), surface,
     )  # fmt: skip

@@ -170,7 +170,7 @@ class FieldRequests:
 
     def __init__(self, plan: Plan):
         """Sort the requests of a plan."""
-        self.all = field_requests(plan)
+        self.plan, self.all = plan, field_requests(plan)
         self.timeless = frozenset(r.name for r in self.all if r.is_timeless)
         self.of_couplings = frozenset(r.name for r in self.all if r.is_for_couplings)
         self.carried = {r.name: r.carried for r in self.all if r.carried is not None}
@@ -183,40 +183,60 @@ class FieldRequests:
             if request.carried is not None and request.kind(group) is not None
         ]
 
+    def contributions(
+        self, group: GroupPlan, contributes: dict, is_timeless: bool
+    ) -> list[FieldContribution]:
+        """Return the contributions of a group to the fields of one sort of steps.
 
-def nodal_fields(plan: Plan, separate_stress: bool, field_class=NodalField) -> list[NodalField]:
+        Args:
+            group: The group.
+            contributes: Field name -> segments that contribute, (segments,) bool.
+            is_timeless: Whether the fields are those of steps of no time.
+        """
+        return [
+            FieldContribution(request.name, kind, contributes[request.name])
+            for request in self.all
+            if request.is_timeless == is_timeless and (kind := request.kind(group)) is not None
+        ]
+
+
+def nodal_fields(
+    requests: FieldRequests, separate_stress: bool, field_class=NodalField
+) -> list[NodalField]:
     """Return the nodal fields of a scene in the order in which grid kernels report them.
 
     Volumes and offsets have no nodes where nothing may touch.
 
     Args:
-        plan: Plan of the run.
+        requests: Requested fields of the run.
         separate_stress: Whether stress impulses are summed separately.
         field_class: Class of the fields.
     """
+    plan = requests.plan
     ranges: dict[str, Callable] = {
         "momentum": partial(momentum.accumulator_range, plan),
         "offsets": lambda _: surface_distance.accumulator_range(plan),
     }
     if separate_stress:
         ranges["impulses"] = partial(stress_impulse.accumulator_range, plan)
-    ranges |= {request.name: request.accumulator_range for request in field_requests(plan)}
+    ranges |= {request.name: request.accumulator_range for request in requests.all}
     return [field_class(name, bounds, plan) for name, bounds in ranges.items()]
 
 
 def contributions(
-    plan: Plan, group: GroupPlan, contributes: dict, split
+    requests: FieldRequests, group: GroupPlan, contributes: dict, split
 ) -> list[FieldContribution]:
     """Return the contributions of a group's segments to each nodal field.
 
     Args:
-        plan: Plan of the run.
+        requests: Requested fields of the run.
         group: Plan of the group.
         contributes: Field name -> segments that contribute, (segments,) bool.
         split: Segments whose stress impulse is summed separately, shape (segments,) bool.
     """
     if group.carrier:  # its particles are not on the grid
         return []
+    plan = requests.plan
     full, inert = momentum.contribution_kinds(plan, group)
     result = [
         FieldContribution("momentum", inert, split | True)  # stress does not move prescribed bodies
@@ -229,7 +249,7 @@ def contributions(
     if group.apart:
         result.append(FieldContribution("momentum", inert, split))
         result.append(FieldContribution("impulses", stress_impulse.kind(plan, group), split))
-    result += _requested(plan, group, contributes, is_timeless=False)
+    result += requests.contributions(group, contributes, is_timeless=False)
     return [contribution for contribution in result if contribution.chosen.any()]
 
 
@@ -248,24 +268,13 @@ def near_colliders_of_group(plan: Plan, group: GroupPlan) -> tuple[str, ...]:
 
 
 def timeless_contributions(
-    plan: Plan, group: GroupPlan, contributes: dict, split
+    requests: FieldRequests, group: GroupPlan, contributes: dict, split
 ) -> list[FieldContribution]:
     """Return the contributions of a group's segments in a step of no time.
 
     Args:
-        plan, group, contributes, split: See `contributions`.
+        requests, group, contributes, split: See `contributions`.
     """
-    inert = momentum.contribution_kinds(plan, group)[1]
+    inert = momentum.contribution_kinds(requests.plan, group)[1]
     result = [FieldContribution("momentum", inert, split | True)]
-    return result + _requested(plan, group, contributes, is_timeless=True)
-
-
-def _requested(
-    plan: Plan, group: GroupPlan, contributes: dict, is_timeless: bool
-) -> list[FieldContribution]:
-    """Return the contributions of a group to the requested fields of one sort of steps."""
-    return [
-        FieldContribution(request.name, kind, contributes[request.name])
-        for request in field_requests(plan)
-        if request.is_timeless == is_timeless and (kind := request.kind(group)) is not None
-    ]
+    return result + requests.contributions(group, contributes, is_timeless=True)

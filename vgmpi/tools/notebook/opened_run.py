@@ -3,6 +3,10 @@
 import base64
 import html
 import io
+import re
+import subprocess
+import threading
+import weakref
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -14,8 +18,8 @@ from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.postprocess.frames import render_config
 from vgmpi.postprocess.frames.frame_renderer import draw_preview
 from vgmpi.postprocess.frames.render_config import find_settings
+from vgmpi.runtime.live_process import launch_page
 
-from .live_cell import LiveCell
 from .run_frames import Frames
 
 PICTURE_SIZE, THUMBNAIL_SIZE = 640, 240  # [pixels] longer sides
@@ -132,7 +136,7 @@ class OpenedRun:
             return PIL.Image.fromarray(picture)
         return Image(data=_png(picture), format="png")
 
-    def show_live(self, particles: int = 100_000, height: int = 700) -> LiveCell:
+    def show_live(self, particles: int = 100_000, height: int = 700) -> "LiveCell":
         """Show the run as a live page in the cell of a notebook, also while it goes on.
 
         The page is served on the machine of the kernel: a browser elsewhere needs ssh, as for
@@ -235,3 +239,46 @@ def _png(picture: np.ndarray) -> bytes:
     data = io.BytesIO()
     Image.fromarray(picture).save(data, "png")
     return data.getvalue()
+
+
+class LiveCell:
+    """Live page of a run in a cell: `address` and `close()`; it ends with the kernel."""
+
+    def __init__(self, folder: Path, particles: int, height: int):
+        """Start the page.
+
+        Args:
+            folder: Output folder of the run.
+            particles: Largest number of Gaussians.
+            height: Height of the cell [pixels].
+
+        Raises:
+            RunError: If no page can be served, with its one line.
+        """
+        process = launch_page(
+            folder, "--port", 0, "--particles", particles,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        )  # fmt: skip
+        assert process.stdout is not None
+        line = process.stdout.readline().strip()
+        match = re.search(r"http://\S+", line)
+        if match is None:
+            process.kill()
+            raise RunError(line or "the live page has not started")
+        self.address, self.height = match[0], height
+        # later lines of the page are read, so that it never waits
+        threading.Thread(target=process.stdout.read, daemon=True).start()
+        self._finalizer = weakref.finalize(self, process.terminate)
+
+    def close(self) -> None:
+        """End the page."""
+        self._finalizer()
+
+    def _repr_html_(self) -> str:
+        """Return the page as a frame, for Jupyter."""
+        style = f"width: 100%; height: {self.height}px; border: 0"
+        return f'<iframe src="{self.address}" style="{style}"></iframe>'
+
+    def _repr_mimebundle_(self, **_: Any) -> dict[str, str]:
+        """Return what the cell shows, and a line for places without HTML."""
+        return {"text/html": self._repr_html_(), "text/plain": f"live page: {self.address}"}

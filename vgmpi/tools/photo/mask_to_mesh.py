@@ -156,7 +156,12 @@ def eroded_mask(mask: np.ndarray) -> np.ndarray:
 
     Gaussians on a rim are seen about that far beyond it.
     """
-    coverage = np.clip(depth_in_mask(mask) - INSET + 0.5, 0, 1)
+    return _coverage(mask, depth_in_mask(mask))
+
+
+def _coverage(mask: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """Return `eroded_mask` of a mask whose depth is known, both (height, width)."""
+    coverage = np.clip(depth - INSET + 0.5, 0, 1)
     return coverage if coverage.max() > 0.9 else mask.astype(np.float64)
 
 
@@ -209,7 +214,8 @@ def _inflated(mask: np.ndarray, view: View, is_thin: bool = False) -> Mesh:
 
     The fields lie over the plane that faces the middle of the outline, and share their rim.
     """
-    outline, mask = depth_in_mask(mask), eroded_mask(mask)
+    outline = depth_in_mask(mask)
+    mask = _coverage(mask, outline)
     rays = view.rays(np.argwhere(mask > 0.5)[:, ::-1] + 0.5)
     forward = rays.mean(axis=0)
     forward /= np.linalg.norm(forward)
