@@ -320,7 +320,7 @@ def test_a_layer_pushes_apart_and_rubs_no_more_than_that(bodies):
     acted = stuck = slid = held = 0
     for v, slope, mass, m, n, dt, dx in layers(2000, bodies):
         change = pushed(v, mass, m, n, dt, dx, slope)
-        if m.one + m.other >= -LAYER_OFFSET:
+        if m.distance_a + m.distance_b >= -LAYER_OFFSET:
             assert not change.any()
             continue
         acted += 1
@@ -334,9 +334,9 @@ def test_a_layer_pushes_apart_and_rubs_no_more_than_that(bodies):
         rub = impulse - push * n
         assert push >= 0
         assert np.linalg.norm(rub) <= m.friction * push * (1 + 1e-9) + 1e-14 * size
-        slides = before + m.other * slope[m.b]
+        slides = before + m.distance_b * slope[m.b]
         if bodies == 2:
-            slides -= m.one * slope[0]
+            slides -= m.distance_a * slope[0]
         slip = slides - (slides @ n) * n
         left = slip + (after - before) - ((after - before) @ n) * n
         scale = np.linalg.norm(slides) + np.linalg.norm(after - before)
@@ -344,15 +344,21 @@ def test_a_layer_pushes_apart_and_rubs_no_more_than_that(bodies):
         assert np.linalg.norm(left) <= np.linalg.norm(slip) + 1e-12 * scale
         stuck += m.friction > 0 and slip.any() and np.linalg.norm(left) < 1e-9 * scale
         slid += np.linalg.norm(left) > 1e-9 * scale and bool(np.linalg.norm(rub) > 0)
-        deep = min(-m.one - m.other - LAYER_OFFSET, LAYER_MAX_OVERLAP)
+        deep = min(-m.distance_a - m.distance_b - LAYER_OFFSET, LAYER_MAX_OVERLAP)
         assert -(after @ n) <= max(-(before @ n), 0) + 0.5 * deep * dx / dt * (1 + 1e-9)
         full = (
-            LAYER_STIFFNESS * dt * m.stiff * m.share * deep * (1 - abs(m.one - m.other) / 2) * dx**2
+            LAYER_STIFFNESS
+            * dt
+            * m.stiff
+            * m.share
+            * deep
+            * (1 - abs(m.distance_a - m.distance_b) / 2)
+            * dx**2
         )
         assert push <= full * (1 + 1e-9)
         held += push < 0.99 * full
         a = None if m.a < 0 else m.a
-        gap, lean = m.one + m.other + LAYER_OFFSET, m.one - m.other
+        gap, lean = m.distance_a + m.distance_b + LAYER_OFFSET, m.distance_a - m.distance_b
         twin = plain._push(before, slides, mass, a, m.b, n, gap, lean, m.stiff * m.share,
                            m.friction, dt, dx)  # fmt: skip
         assert impulse == pytest.approx(twin, rel=1e-9, abs=1e-12 * size)

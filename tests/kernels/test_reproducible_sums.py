@@ -36,18 +36,18 @@ class Rank:
     """One rank's sums of 27 node blocks, with a copy of each for a second thread."""
 
     def __init__(self, real):
-        self.rest = reproducible_sums.accumulator_biases(FULL, real)
+        self.bias = reproducible_sums.accumulator_biases(FULL, real)
         self.phase = np.concatenate([PHASE, PHASE])
         self.sums = aligned_zeros((54, reproducible_sums.accumulator_words(real), 256), np.float64)
         self.nodes = aligned_zeros((27, 256), real)
-        reproducible_sums.reset(self.sums, self.rest, np.arange(54), self.phase)
+        reproducible_sums.reset(self.sums, self.bias, np.arange(54), self.phase)
 
     def push(self, order, patches, boxes, thread=0):
         push_all(order, patches, np.arange(27) + 27 * thread, boxes, self.sums)
 
     @property
     def layer(self):
-        return Sums(self.sums, self.rest, np.ones(27, np.uint8), self.nodes)
+        return Sums(self.sums, self.bias, np.ones(27, np.uint8), self.nodes)
 
     @property
     def tables(self):
@@ -65,7 +65,7 @@ class Rank:
         reproducible_sums.merge_thread_copies(blocks, self.tables, self.layer)
         reproducible_sums.pack(numbers, tails, blocks, masks, self.sums.view(np.uint64))
         return lambda: reproducible_sums.unpack(
-            numbers, tails, blocks, masks, other.sums, other.rest, PHASE
+            numbers, tails, blocks, masks, other.sums, other.bias, PHASE
         )
 
     def values(self):

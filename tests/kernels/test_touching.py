@@ -20,7 +20,7 @@ def test_what_touches(known, sure, limit):
         for gap, touches in ((limit - 1e-9, near), (limit + 1e-9, False)):
             m = meeting(gap / 2 + off, gap / 2 - off, known=known, sure=sure)
             assert contact_impulses.in_contact(m) == touches
-            assert plain._touching(m.one, m.other, known, sure, False) == touches
+            assert plain._touching(m.distance_a, m.distance_b, known, sure, False) == touches
 
 
 def test_what_faces_a_wall_and_overlaps_stays_out_of_it():
@@ -31,7 +31,7 @@ def test_what_faces_a_wall_and_overlaps_stays_out_of_it():
     ):  # fmt: skip
         m = meeting(-1.0, 1.0 + gap, sure=False, faces=faces)
         assert contact_impulses.in_contact(m) == touches
-        assert plain._touching(m.one, m.other, True, False, faces) == touches
+        assert plain._touching(m.distance_a, m.distance_b, True, False, faces) == touches
     n, least = np.array([0.0, 0.0, 1.0]), contact_impulses.WALL_ALIGNMENT_MIN
     for cosine, faces in ((-least - 1e-9, True), (-least + 1e-9, False), (1.0, False)):
         x = 0.3 * np.array([np.sqrt(1.0 - cosine**2), 0.0, cosine])

@@ -205,7 +205,7 @@ def nodes_in(tables, blocks, masks):
     number = np.repeat(np.arange(len(tables.first) - 1), np.diff(tables.first))
     found = []
     for nb, mask in zip(blocks, masks, strict=True):
-        low = 4 * tables.at[number[nb]] - 1
+        low = 4 * tables.coordinates[number[nb]] - 1
         for n in range(64):
             if int(mask) >> n & 1:
                 node = (low[0] + n // 16, low[1] + n // 4 % 4, low[2] + n % 4)
@@ -229,9 +229,11 @@ def test_a_segment_adds_to_the_node_blocks_around_it(tables):
         assert (t.table >= 0).all(), "a patch reaches a node block that is not there"
         number = np.repeat(np.arange(len(t.first) - 1), np.diff(t.first))
         for block, group, row in zip(t.block, t.group, t.table, strict=True):
-            assert (t.at[number[row]] == block + node_overlap.NEIGHBORS).all()
+            assert (t.coordinates[number[row]] == block + node_overlap.NEIGHBORS).all()
             assert (t.phase[row] == group).all()
-        order = [(*t.at[b].tolist(), p) for b, p in zip(number, t.phase.tolist(), strict=True)]
+        order = [
+            (*t.coordinates[b].tolist(), p) for b, p in zip(number, t.phase.tolist(), strict=True)
+        ]
         assert order == sorted(set(order))
 
 
@@ -289,7 +291,7 @@ def test_fields_near_bodies_travel_in_the_blocks_near_bodies_alone(scattered):
     built = [exchange_topology.build_topology(whole, LATTICE, r, needs, solid) for r in ranks]
     sent = 0
     for rank, t in enumerate(built):
-        number = np.repeat(np.arange(len(t.at)), np.diff(t.first))
+        number = np.repeat(np.arange(len(t.coordinates)), np.diff(t.first))
         for other, lists in t.shared.items():
             everywhere, here = lists["momentum"], lists[names[0]]
             is_near = t.solid[number[everywhere.send_blocks]] >= 0
@@ -297,8 +299,8 @@ def test_fields_near_bodies_travel_in_the_blocks_near_bodies_alone(scattered):
             gives = nodes_in(t, here.send_blocks, here.send_masks)
             back = built[other].shared[rank][names[0]]
             assert nodes_in(built[other], back.receive_blocks, back.receive_masks) == gives
-            assert t.asked[names[0]][here.receive_blocks].all()  # others have no memory
-            assert t.asked[names[0]][here.send_blocks].all()
+            assert t.has_terms[names[0]][here.receive_blocks].all()  # others have no memory
+            assert t.has_terms[names[0]][here.send_blocks].all()
             sent += len(here.send_blocks)
     assert sent > 0
 

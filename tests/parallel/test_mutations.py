@@ -161,12 +161,12 @@ def plain_sums(monkeypatch):
     """Sums begin at 0 and are rounded as numbers are."""
 
     def begin(self, dt):
-        self.rest = np.zeros_like(self.rest)
+        self.bias = np.zeros_like(self.bias)
         if self.speed == 0.0:
             self.sums[:] = 0
             self.speed = 1.0
-            self.tables = self.tables._replace(sums=self.sums, rest=self.rest, nodes=self.nodes)
-            self.tables = self.tables._replace(asked=self.asked)
+            self.tables = self.tables._replace(sums=self.sums, bias=self.bias, nodes=self.nodes)
+            self.tables = self.tables._replace(has_terms=self.has_terms)
 
     monkeypatch.setattr(nodal_field_storage.NodalField, "begin", begin)
     monkeypatch.setattr(cpu.Cpu, "_found_beyond", lambda self: [])
@@ -205,9 +205,9 @@ def rest_is_left(monkeypatch):
 
     def add(self, part):
         layer = self.layers[part.layer]
-        rest, layer.rest = layer.rest, np.zeros_like(layer.rest)
+        bias, layer.bias = layer.bias, np.zeros_like(layer.bias)
         real(self, part)
-        layer.rest = rest
+        layer.bias = bias
 
     monkeypatch.setattr(cpu.Cpu, "add", add)
 

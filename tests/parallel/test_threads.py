@@ -86,8 +86,8 @@ def forget_to_rest(monkeypatch):
     """Sums are not put to rest where the tables are new."""
 
     def begin(self, dt):
-        self.rest = reproducible_sums.accumulator_biases(self.sum_bounds(dt), self.real)
-        self.tables = Sums(self.sums, self.rest, self.asked, self.nodes)
+        self.bias = reproducible_sums.accumulator_biases(self.sum_bounds(dt), self.real)
+        self.tables = Sums(self.sums, self.bias, self.has_terms, self.nodes)
 
     monkeypatch.setattr(nodal_field_storage.NodalField, "begin", begin)
 

@@ -55,7 +55,7 @@ box = {block}
 class Afloat(NamedTuple):
     submerged: float  # share of the block's height
     below: float  # gap under the block [cells]
-    beside: float  # gap beside it [cells]
+    side_gap: float  # gap beside it [cells]
     drift: float  # of its height in the last quarter of the run, as a share of it
 
 
@@ -125,7 +125,7 @@ def hold(found, edge, slab, rests=True):
         0.05,
         kind="absolute",
         source="submerged fraction = rho_s / rho_w",
-        note=f"gaps {found.below:.2f} below, {found.beside:.2f} cells beside it",
+        note=f"gaps {found.below:.2f} below, {found.side_gap:.2f} cells beside it",
     )
 
 
@@ -150,7 +150,7 @@ def test_square_plate_of_8_cells(tmp_path):
 def test_small_plate(tmp_path):
     """6 cells: gaps displace, too; water runs under it, since contact fades a cell from it."""
     found = float_up(tmp_path, 6, 6, slab=False, drop=2, end=2.4, viscosity=3.0)
-    swelled = SHARE * (12 / (12 + 2 * found.beside)) ** 2 - found.below / 6
+    swelled = SHARE * (12 / (12 + 2 * found.side_gap)) ** 2 - found.below / 6
     print(found)
     held(
         "Archimedes, square plate of 6 cells, gaps displace too",
@@ -159,7 +159,7 @@ def test_small_plate(tmp_path):
         0.03,
         kind="absolute",
         source="(rho_s / rho_w) W^2 / (W + 2 gap)^2 - gap below / H",
-        note=f"gaps {found.below:.2f} below, {found.beside:.2f} cells beside it; exact {SHARE}",
+        note=f"gaps {found.below:.2f} below, {found.side_gap:.2f} cells beside it; exact {SHARE}",
         expected=False,
         deviation=True,
     )

@@ -94,7 +94,7 @@ def exact(simulation):
         at = group.index()
         if group.plan.coefficients:
             first = group.plan.channels["color"].first
-            least = simulation.plan.colors.least[group.plan.phase, 0]
+            least = simulation.plan.colors.minimum[group.plan.phase, 0]
             out[group.ids[at]] = group.f[first : first + 3, at].T + least
     return out
 

@@ -78,7 +78,7 @@ def base_pressure(simulation) -> float:
     (water,) = (g for g in simulation.groups if g.plan.material == "water")
     at, law = water.index(), water.plan.law
     low = water.positions()[:, 2] < 0.04
-    state = tuple(water.f[STATE : STATE + len(water.plan.rest), at[low]])
+    state = tuple(water.f[STATE : STATE + len(water.plan.reference), at[low]])
     tau = law_function(law, "stress")(law, state, (0.0,) * 9)
     return float(np.mean(-tau[0] / law_function(law, "volume_ratio")(law, state)))
 

@@ -39,7 +39,7 @@ class Found(NamedTuple):
     times: np.ndarray  # [s]
     level: np.ndarray  # [m]
     counted: np.ndarray  # [m2] that went, by the ledger
-    there: np.ndarray  # [m2] that did not yet
+    remaining: np.ndarray  # [m2] that did not yet
     speed: float  # of the jet where it is thinnest, over Torricelli's
 
 
@@ -60,8 +60,8 @@ def drained(folder, tank: Tank) -> Found:
         rows.append((time, level, out, vol0.sum() / (DEEP * DX)))
         thin = (low > tank.half * DX) & (low < 1.5 * tank.half * DX)
         fast.append((-v[thin, 2] / np.sqrt(2 * G * (level + low[thin]))).mean())
-    times, level, out, there = np.array(rows).T
-    return Found(times, level, out, there, float(np.mean(fast)))
+    times, level, out, remaining = np.array(rows).T
+    return Found(times, level, out, remaining, float(np.mean(fast)))
 
 
 def coefficient(tank: Tank, found: Found) -> float:
@@ -108,7 +108,7 @@ def about(tank: Tank, found: Found) -> str:
 def test_what_goes_is_counted(emptied):
     name, found = emptied
     whole = CASES[name].wide * CASES[name].head * DX**2
-    assert np.abs(found.counted + found.there - whole).max() < 1e-9 * whole
+    assert np.abs(found.counted + found.remaining - whole).max() < 1e-9 * whole
 
 
 @tanks()

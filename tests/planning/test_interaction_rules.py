@@ -192,7 +192,7 @@ def test_the_shortest_waves_of_fluids_that_slip_are_stable(tmp_path, ratio, slip
     """Those of 2 radians in the way of a wave in a step, as of a fluid alone; a little shorter ones
     are not. Where none is much faster than a fluid's own, they take what the margin spares."""
     plan = slippery(tmp_path, (1e3, 1e6), (1e3 / ratio, 2e6 / ratio), slip_relaxation_time)
-    own = [float(law_function(g.law, "wave_speed2")(g.law, g.rest)) for g in plan.groups]
+    own = [float(law_function(g.law, "wave_speed2")(g.law, g.reference)) for g in plan.groups]
     materials = [(g.density, g.density * c2) for g, c2 in zip(plan.groups, own, strict=True)]
     assert plan.groups[1].slips == 1.0
     heeded = plan.groups[0].slips > 1.0

@@ -57,7 +57,7 @@ from .stub import act
 class Law(NamedTuple):
     a: float
 
-@act.of(Law)
+@act.register(Law)
 def _(kind, x):
     return kind.a * x + 10.0
 """,
@@ -67,7 +67,7 @@ from .stub import act
 
 del act.table[Law]
 
-@act.of(Law)
+@act.register(Law)
 def _(kind, x):
     return -1.0
 """,

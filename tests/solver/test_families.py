@@ -50,7 +50,7 @@ def test_particles_weigh_what_the_bulk_does(simulation):
     assert groups["one"] == 1000 and groups["snow"] == 400
     sand = next(row for row in conservation_rows(simulation) if row["phase"] == "sand")
     assert sand["mass"] == pytest.approx(0.04**3 * (1000 + 0.6 * 2650), rel=1e-12)
-    lightest = next(phase for phase in simulation.plan.phases if phase.name == "sand").least
+    lightest = next(phase for phase in simulation.plan.phases if phase.name == "sand").min_cell_mass
     assert lightest == pytest.approx(1000 * 0.02**3)
 
 

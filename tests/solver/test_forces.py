@@ -298,14 +298,14 @@ def test_nobody_asks_nothing_is_there(tmp_path):
         path = checkpoint.latest_valid(tmp_path / str(k) / "checkpoints")
         with checkpoint.open(path) as saved:
             kept.append(saved.attrs)
-    assert "given" in kept[0] and "given" not in kept[1]
+    assert "reactions" in kept[0] and "reactions" not in kept[1]
     assert [set(probe) for probe in kept[1]["scene"]["probe"]] == [
         {"name", "sampling_interval", "wall"}
     ]
     simulation = runs[1].simulation
     assert "reactions" not in simulation.features and simulation.engine.reactions is None
     assert all(part.ghosts is None for part in simulation.engine.parts)
-    assert all(room.given is None for room in simulation.engine.room)
+    assert all(each.reactions is None for each in simulation.engine.workspaces)
     one, other = (run.arrays("positions", "velocity", "C") for run in runs)
     assert all((one[name] == other[name]).all() for name in one)
 

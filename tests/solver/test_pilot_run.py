@@ -83,7 +83,7 @@ def seen(folder, text):
                 now = _snapshot(
                     scene, plan, known, simulation, simulation.step - done, CoarseStep()
                 )
-                as_now = dataclasses.replace(plan, count=now.number, surroundings=now.around)
+                as_now = dataclasses.replace(plan, count=now.number, surroundings=now.proximity)
                 spent += now.steps * step_ns(scene, as_now, PACE)
                 done = simulation.step
 
@@ -121,7 +121,7 @@ def test_what_comes_counts_from_when_it_is_there(tmp_path):
     comes = [moment.number[2] for moment in found.moments]
     assert comes == sorted(comes) and comes[0] < 0.4 * comes[-1]
     assert comes[-1] == pytest.approx(plan.count[2], rel=0.1)
-    assert found.moments[-1].around[2].blocks > found.moments[0].around[2].blocks
+    assert found.moments[-1].proximity[2].blocks > found.moments[0].proximity[2].blocks
 
 
 def test_a_fixed_step_gives_its_steps(tmp_path):

@@ -44,7 +44,7 @@ groups.*.count S
 groups.*.start S
 engine.layers.momentum.sums R 2 256
 engine.layers.momentum.nodes R 256
-engine.layers.momentum.asked B
+engine.layers.momentum.has_terms B
 engine.layers.momentum.phase B
 engine.parts.*.segments.accumulator_rows S 27
 engine.parts.*.segments.table S 27
@@ -58,9 +58,9 @@ engine.parts.*.partition.inner.* S
 engine.block_shares.all.* B
 engine.block_shares.inner.* B
 engine.blocks.copy_offsets B+1
-engine.layers.offsets.asked B
+engine.layers.offsets.has_terms B
 engine.scratch.*.real Q
-engine.scratch.*.whole 150
+engine.scratch.*.integers 150
 engine.scratch.*.peak 16
 tables.code S
 tables.group S
@@ -71,12 +71,12 @@ tables.contributes.momentum S
 tables.contributes.offsets S
 tables.first B+1
 tables.phase B
-tables.at B 3
-tables.meets B
+tables.coordinates B 3
+tables.may_touch B
 tables.receives_remote B
 tables.solid B
-tables.asked.momentum B
-tables.asked.offsets B
+tables.has_terms.momentum B
+tables.has_terms.offsets B
 census.code S
 census.group S
 census.key S
@@ -87,11 +87,12 @@ plan.times T
 # at most so many numbers, however large the scene: of phases and walls, and scratch of a node
 FEW = 70
 HANDFUL = (
-    "census.load", "engine.as_one", "engine.beyond", "engine.fill_of_nodes",
-    "engine.layers.momentum.rest",
-    "engine.layers.momentum.current_bounds", "engine.layers.offsets.rest",
+    "census.load", "engine.phase_sets", "engine.overflow", "engine.fill_of_nodes",
+    "engine.layers.momentum.bias",
+    "engine.layers.momentum.current_bounds", "engine.layers.offsets.bias",
     "engine.layers.offsets.current_bounds",
-    "engine.phases", "engine.reports", "engine.room", "engine.step", "engine.walls", "gravity",
+    "engine.phases", "engine.reports", "engine.workspaces", "engine.step", "engine.walls",
+    "gravity",
     "needs", "reduction_buffer",
 )  # fmt: skip
 KERNELS = {
@@ -152,8 +153,9 @@ friction = 0.3
 """
 )
 SHARED = {
-    "engine.layers.impulses", "engine.beside.flux", "engine.mixture_workspace", "engine.pairs",
-    "needs.apart", "plan.rules", "tables.asked.impulses", "tables.contributes.impulses",
+    "engine.layers.impulses", "engine.gathered_nodes.flux", "engine.mixture_workspace",
+    "engine.pairs", "needs.separates_stress", "plan.rules", "tables.has_terms.impulses",
+    "tables.contributes.impulses",
 }  # fmt: skip
 
 
@@ -181,7 +183,14 @@ def parts(names):
     for name in names:
         words = [word for word in name.split(".") if word != "*"]
         wide = words[0] in ("engine", "tables", "needs", "plan", "features")
-        deep = wide and words[1] in ("layers", "beside", "room", "parts", "asked", "contributes")
+        deep = wide and words[1] in (
+            "layers",
+            "gathered_nodes",
+            "workspaces",
+            "parts",
+            "has_terms",
+            "contributes",
+        )
         found.add(".".join(words[: 1 + wide + deep]))
     return found
 
@@ -201,8 +210,8 @@ def test_every_array_of_one_fluid_in_a_box(plain):
     group, tables = simulation.groups[0], simulation.tables
     sizes = {
         "S": len(group.start),
-        "B": len(tables.at),
-        "R": len(tables.at) + len(tables.at) // 4,
+        "B": len(tables.coordinates),
+        "R": len(tables.coordinates) + len(tables.coordinates) // 4,
         "P": len(group.ids),
         "C": 3 + 9 + 1 + 1,  # v, C, vol0, theta
         "Q": len(simulation.engine.scratch[0].real),
@@ -221,7 +230,7 @@ def test_every_array_of_one_fluid_in_a_box(plain):
 
 
 def test_every_kernel_of_one_fluid_in_a_box(plain):
-    assert plain[1].told == KERNELS
+    assert plain[1].compiled == KERNELS
 
 
 def test_without_volume_correction_nothing_of_it_exists(tmp_path, plain):
@@ -230,7 +239,7 @@ def test_without_volume_correction_nothing_of_it_exists(tmp_path, plain):
     gone = set(shapes(plain[0])) - set(shapes(simulation))
     assert parts(gone) == {"engine.fill_of_nodes"}
     assert not set(shapes(simulation)) - set(shapes(plain[0]))
-    assert kinds(KERNELS) - kinds(calls.told) == {"NodeFill", "ShiftConstants"}
+    assert kinds(KERNELS) - kinds(calls.compiled) == {"NodeFill", "ShiftConstants"}
     patch = len(plain[0].engine.scratch[0].real) - len(simulation.engine.scratch[0].real)
     assert patch == particle_records.PADDED_PATCH
 
@@ -239,7 +248,7 @@ def test_what_is_defined_and_not_used_changes_nothing(tmp_path, plain):
     """The same arrays, kernels and bits."""
     simulation, calls = simulated(tmp_path, PLAIN + UNUSED)
     assert shapes(simulation) == shapes(plain[0])
-    assert calls.told == plain[1].told
+    assert calls.compiled == plain[1].compiled
     for name in ("x", "v", "C", "J"):
         for one, other in zip(by_id(simulation, name), by_id(plain[0], name), strict=True):
             assert np.array_equal(one, other)
@@ -286,14 +295,14 @@ FEATURES = {
     ),
     "colors": (
         PLAIN + TRAVELS + MILK + RED,
-        {"engine.layers.color 0", "tables.asked.color 0", "tables.contributes.color 0",
+        {"engine.layers.color 0", "tables.has_terms.color 0", "tables.contributes.color 0",
          "needs.fields", "plan.colors"},
         {"ValuesByVolume", "gather_values", "average_over_phases"},
     ),
     "mixing": (PLAIN + MILK + BESIDE + COUPLED + 'kind = "mixing"\n', SHARED, MIXES),
     "drift": (
         PLAIN + MILK + BESIDE + COUPLED + 'kind = "mixing"\ndiffusivity = 1e-4\n',
-        {*SHARED, "engine.beside.drift", "engine.layers.offsets"},
+        {*SHARED, "engine.gathered_nodes.drift", "engine.layers.offsets"},
         {*MIXES, "CurrentVolumeMoments"},
     ),
     "drag": (
@@ -305,7 +314,7 @@ FEATURES = {
         + RUBBER + BESIDE + "slip_length = 0\n",
         {"engine.layers.offsets", "features.surface_slip", "needs.fields", "needs.in_contact", *(
             f"{owner}.velocity gradient {a}"
-            for owner in ("engine.layers", "tables.asked", "tables.contributes") for a in "xyz"
+            for owner in ("engine.layers", "tables.has_terms", "tables.contributes") for a in "xyz"
         )},
         {"ElasticLaw", "SurfaceDistance", "Offsets", "VelocityGradient", "NodesOfPhases",
          "SolidSlipLaw", "AdhesionLaw", "apply_solid_slip"},
@@ -320,7 +329,7 @@ FEATURES = {
         PLAIN + RUBBER + PINNED,
         {"engine.layers.offsets", "features.pinned_parts", "needs.fields", *(
             f"{owner}.velocity gradient {a}"
-            for owner in ("engine.layers", "tables.asked", "tables.contributes") for a in "xyz"
+            for owner in ("engine.layers", "tables.has_terms", "tables.contributes") for a in "xyz"
         )},
         {"ElasticLaw", "SurfaceDistance", "Offsets", "VelocityGradient", "SampledSdf",
          "PinnedTable", "PinnedNodes", "PinnedFields", "apply_pins"},
@@ -332,9 +341,9 @@ FEATURES = {
     ),
     "an implicit pressure": (
         PLAIN.replace("[accuracy]", '[accuracy]\npressure = "implicit"'),
-        {"features.implicit_pressure", "engine.beside.displacement", "needs.fields", *(
+        {"features.implicit_pressure", "engine.gathered_nodes.displacement", "needs.fields", *(
             f"{owner}.particle pressure"
-            for owner in ("engine.layers", "tables.asked", "tables.contributes")
+            for owner in ("engine.layers", "tables.has_terms", "tables.contributes")
         )},
         {"ParticlePressure", "MomentumWithoutPressure", "ImplicitPressureGather",
          "Lattice", "PressureFields", "set_nodes", "set_cells", "set_excess", "respond", "sweep",
@@ -348,7 +357,7 @@ FEATURES = {
     ),
     "a wall that is felt": (
         PLAIN + '[[probe]]\nname = "bottom"\nsampling_rate = 100\nwall = "bottom"\n',
-        {"features.reactions", "engine.room.given", "engine.parts.ghosts"},
+        {"features.reactions", "engine.workspaces.reactions", "engine.parts.ghosts"},
         {"ReactionSums", "GhostNodes"},
     ),
     "density correction": (
@@ -357,8 +366,8 @@ FEATURES = {
     ),
     "flip": (
         PLAIN.replace("precision", 'transfer = "flip"\nprecision'),
-        {"engine.layers.impulses", "engine.beside.change", "engine.mixture_workspace",
-         "tables.asked.impulses", "tables.contributes.impulses"},
+        {"engine.layers.impulses", "engine.gathered_nodes.change", "engine.mixture_workspace",
+         "tables.has_terms.impulses", "tables.contributes.impulses"},
         {"SeparatedStress", "MixtureWorkspace", "Impulses", "FlipGather"},
     ),
 }  # fmt: skip
@@ -369,4 +378,4 @@ def test_a_feature_adds_what_it_needs(tmp_path, plain, name):
     text, adds, compiles = FEATURES[name]
     simulation, calls = simulated(tmp_path, text)
     assert parts(set(shapes(simulation)) - set(shapes(plain[0]))) == adds
-    assert kinds(calls.told) - kinds(KERNELS) == compiles
+    assert kinds(calls.compiled) - kinds(KERNELS) == compiles

@@ -56,7 +56,7 @@ class Calls:
         self.patch.stop()
 
     @property
-    def told(self) -> set[str]:
+    def compiled(self) -> set[str]:
         """The specialisations: what tells a kernel's types apart besides its arrays and numbers."""
         return {f"{kernel.__name__}({_inside(kinds)})" for kernel, kinds in self.entries}
 

@@ -72,7 +72,7 @@ def _channels(
 ) -> tuple[np.ndarray, list]:
     """Return channel values (channels, count) and the states that bound those of the particles."""
     channels = group.channels
-    values = np.repeat(np.array(channels.rest, plan.real)[:, None], count, axis=1)
+    values = np.repeat(np.array(channels.reference, plan.real)[:, None], count, axis=1)
     values[channels["v"].rows] = rows.v.T
     if rows.C is not None:
         values[channels["C"].rows] = rows.C.T
@@ -81,13 +81,13 @@ def _channels(
         values[channels["surface"].rows] = rows.surface.T
     color_count = group.coefficients
     if color_count and rows.sh is not None and plan.colors is not None:
-        colors = rows.sh[:, :color_count] - plan.colors.least[group.phase, :color_count]
+        colors = rows.sh[:, :color_count] - plan.colors.minimum[group.phase, :color_count]
         values[channels["color"].rows] = colors.reshape(len(colors), 3 * color_count).T
-    states = [group.rest]
+    states = [group.reference]
     if rows.theta is not None and group.family == "fluid":
         values[channels["theta"].rows] = rows.theta
         # the fastest wave is at an end of the range, on which all ranks agree bit by bit
-        states += [(end, *group.rest[1:]) for end in _ends(rows.theta)]
+        states += [(end, *group.reference[1:]) for end in _ends(rows.theta)]
     return values, states
 
 
@@ -131,9 +131,9 @@ def bounds_of_idle_group(plan: Plan) -> ParticleBounds:
     A particle of the first group at its reference state stands in, moving at its wave speed.
     """
     group = plan.groups[0]
-    wave2 = float(law_function(group.law, "wave_speed2")(group.law, group.rest))
+    wave2 = float(law_function(group.law, "wave_speed2")(group.law, group.reference))
     v = np.array([[np.sqrt(group.bound(wave2)), 0.0, 0.0]])
-    return bounds_of(plan, group, [group.rest], v, np.zeros((1, 9)))
+    return bounds_of(plan, group, [group.reference], v, np.zeros((1, 9)))
 
 
 def remove_particles(group: ParticleGroup, indices: np.ndarray) -> None:

@@ -50,8 +50,8 @@ class NodeBlocks(NamedTuple):
 
     first: np.ndarray  # (blocks + 1,) node blocks of each block
     phase: np.ndarray  # (node blocks,) phase of each
-    at: np.ndarray  # (blocks, 3) block coordinates
-    meets: np.ndarray  # (blocks,) bool: two phases, or a phase and a collider, may touch here
+    coordinates: np.ndarray  # (blocks, 3) block coordinates
+    may_touch: np.ndarray  # (blocks,) bool: two phases, or a phase and a collider, may touch here
     solid: np.ndarray  # (blocks,) row among the collider's blocks, or -1
     copy_offsets: np.ndarray  # (node blocks + 1,) offsets into `copies`
     copies: np.ndarray  # rows of sums to which threads other than the first add
@@ -61,8 +61,8 @@ class Sums(NamedTuple):
     """Nodal field: its accumulators, their biases and their values."""
 
     sums: np.ndarray  # (rows, words, 256) see kernels/reproducible_sums.py
-    rest: np.ndarray  # (phases, words, 16) biases
-    asked: np.ndarray  # (node blocks,) uint8: 1 if it has terms
+    bias: np.ndarray  # (phases, words, 16) biases
+    has_terms: np.ndarray  # (node blocks,) uint8: 1 if it has terms
     nodes: np.ndarray  # (node blocks, 256) values in the working precision
 
 

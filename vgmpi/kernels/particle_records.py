@@ -52,7 +52,7 @@ class Scratch(NamedTuple):
     """Scratch memory of one thread during the transfer of a segment."""
 
     real: np.ndarray  # (SCRATCH_SIZE + more * PADDED_PATCH,) see `split_scratch` and `patch_of`
-    whole: np.ndarray  # (BATCH + 16 + 6,) int32: base rows of a batch, then a node range
+    integers: np.ndarray  # (BATCH + 16 + 6,) int32: base rows of a batch, then a node range
     peak: np.ndarray  # (16,) [m4/s4] maximum squared stress over density so far, by lane
 
 

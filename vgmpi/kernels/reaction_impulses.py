@@ -31,7 +31,7 @@ class ReactionSums(NamedTuple):
     counts: np.ndarray  # (blocks, 64) uint8: 1 at nodes that this rank alone counts
     now: np.ndarray  # (3,) current block, node and row
     node: np.ndarray  # (3,) [m] position of the current node
-    at: np.ndarray  # (3,) [m] position of the surface that acts on it
+    surface_point: np.ndarray  # (3,) [m] position of the surface that acts on it
     pairs: np.ndarray  # (m,) row of each contact pair at a node
     places: np.ndarray  # (m, 3) [m] position of its rigid surface
     first: int  # row of the first wall
@@ -41,12 +41,12 @@ class ReactionSums(NamedTuple):
 class GhostNodes(NamedTuple):
     """Ghost nodes of the segments of a group that reach beyond walls."""
 
-    given: ReactionSums  # sums of the calling thread
+    reactions: ReactionSums  # sums of the calling thread
     slot: np.ndarray  # (segments,) row of mass, -1 for segments that reach no wall
     low: np.ndarray  # (segments, 3) first node of each patch
     mass: np.ndarray  # (n, 6, 64) [kg] own mass of the nodes beyond each wall
     share: float  # [-] fraction of the momentum mirror's impulse that particles take up
-    kept: float  # [-] fraction for the mirror of the velocity change (FLIP)
+    change_share: float  # [-] fraction for the mirror of the velocity change (FLIP)
     holds_mass: int  # whether the sums contain the mass
 
 
@@ -120,7 +120,7 @@ def set_collider(reaction, number, surface):
     if reaction is not None:
         reaction.now[2] = number
         for c in range(3):
-            reaction.at[c] = reaction.node[c] - surface[3] * surface[c]
+            reaction.surface_point[c] = reaction.node[c] - surface[3] * surface[c]
 
 
 @device_function
@@ -158,14 +158,14 @@ def add_contact_reaction(reaction, before, after, mass, speed, was, pairs):
         for q in range(was, pairs):
             reaction.pairs[q] = reaction.now[2]
             for c in range(3):
-                reaction.places[q, c] = reaction.at[c]
+                reaction.places[q, c] = reaction.surface_point[c]
         if _counted(reaction):
             m = np.float64(mass)
             jx, jy, jz = (
                 m * (after[0] - before[0]), m * (after[1] - before[1]), m * (after[2] - before[2])
             )  # fmt: skip
             work = jx * speed[0] + jy * speed[1] + jz * speed[2]
-            _add(reaction, reaction.now[2], reaction.at, jx, jy, jz, work)
+            _add(reaction, reaction.now[2], reaction.surface_point, jx, jy, jz, work)
 
 
 @device_function
@@ -187,7 +187,7 @@ def add_prescribed_reaction(reaction, row, before, after, mass, speed, was, pair
         if row >= 0:
             reaction.now[2] = row
             for c in range(3):
-                reaction.at[c] = reaction.node[c]
+                reaction.surface_point[c] = reaction.node[c]
             add_contact_reaction(reaction, before, after, mass, speed, was, pairs)
 
 
@@ -248,12 +248,12 @@ def add_wall_reaction(reaction, a, side, plane, node, low, before, v):
 @device_function
 def _on_plane(ghosts, s, a, side, wall, i, j, jx, jy, jz):
     """Add an impulse on a wall across axis a, at the node (i, j) of a patch's plane."""
-    position, low = ghosts.given.at, ghosts.low[s]
+    position, low = ghosts.reactions.surface_point, ghosts.low[s]
     first, second = (1, 2) if a == 0 else ((0, 2) if a == 1 else (0, 1))
     position[a], position[first], position[second] = low[a] + wall, low[first] + i, low[second] + j
     for c in range(3):
-        position[c] *= ghosts.given.dx
-    _add(ghosts.given, ghosts.given.first + 2 * a + side, position, jx, jy, jz, 0.0)
+        position[c] *= ghosts.reactions.dx
+    _add(ghosts.reactions, ghosts.reactions.first + 2 * a + side, position, jx, jy, jz, 0.0)
 
 
 @device_function
@@ -345,5 +345,5 @@ def momentum_mirror_fraction(ghosts):
 def velocity_mirror_fraction(ghosts):
     """Return the fraction of the velocity-change mirror's impulse that particles take up."""
     if ghosts is not None:
-        return ghosts.kept
+        return ghosts.change_share
     return 1.0

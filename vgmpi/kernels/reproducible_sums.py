@@ -201,8 +201,8 @@ class FieldPointers(NamedTuple):
     """Arrays of a kernel_arguments.Sums, as pointers."""
 
     sums: np.ndarray  # accumulators
-    rest: np.ndarray  # biases
-    asked: np.ndarray  # (node blocks,) 1 if it has terms
+    bias: np.ndarray  # biases
+    has_terms: np.ndarray  # (node blocks,) 1 if it has terms
     nodes: np.ndarray  # values in the working precision
     words: int  # doubles per sum
 
@@ -220,8 +220,8 @@ def sums_at(layer):
     """Return the pointers of a nodal field (kernel_arguments.Sums)."""
     return FieldPointers(
         flat_pointer(layer.sums),
-        flat_pointer(layer.rest),
-        pointer(layer.asked),
+        flat_pointer(layer.bias),
+        pointer(layer.has_terms),
         flat_pointer(layer.nodes),
         words_of(layer.nodes),
     )
@@ -232,7 +232,7 @@ def _unite_copies(nb, blocks, layer):
     """Add the private sums of other threads to a node block."""
     for c in range(blocks.copy_offsets[nb], blocks.copy_offsets[nb + 1]):
         merge_accumulators(
-            layer.sums, layer.rest, blocks.phase[nb], nb, blocks.copies[c], layer.words
+            layer.sums, layer.bias, blocks.phase[nb], nb, blocks.copies[c], layer.words
         )
 
 
@@ -247,10 +247,10 @@ def finalize_node_block(nb, blocks, layer, report, which):
         report: Lowest node block + 1 with a sum out of range, or 0, by field (in/out).
         which: Number of the field.
     """
-    if layer.asked[nb] == 0:
+    if layer.has_terms[nb] == 0:
         return
     _unite_copies(nb, blocks, layer)
-    if finalize_sums(layer.sums, layer.rest, nb, blocks.phase[nb], layer.nodes) != 0:
+    if finalize_sums(layer.sums, layer.bias, nb, blocks.phase[nb], layer.nodes) != 0:
         if report[which] == 0 or nb < report[which] - 1:
             report[which] = nb + 1
 

@@ -30,7 +30,7 @@ class Law(NamedTuple):
 
     k: float  # [Pa] stiffness; the bulk modulus is k gamma
     gamma: float  # [-] stiffening exponent
-    most: float  # [-] largest theta
+    max_theta: float  # [-] largest theta
     mu: float  # [Pa] shear modulus
     yield_stress: float  # [Pa] yield stress in shear
     log_consistency: float  # [-] ln(K / 1 Pa s^n)
@@ -106,7 +106,7 @@ class Paste(Liquid):
         return Law(
             self.tait_coefficient,
             self.exponent,
-            self.most,
+            self.max_theta,
             self.shear_modulus,
             self.yield_stress,
             math.log(self.consistency_index),
@@ -124,7 +124,7 @@ class Paste(Liquid):
             L: Velocity gradient, nine components, row by row [1/s].
             dt: Time step [s].
         """
-        theta = np.minimum(state[0] + log_volume_change(L, dt), law.most)
+        theta = np.minimum(state[0] + log_volume_change(L, dt), law.max_theta)
         b = _without_volume(hencky.trial_strain_measure(state[1:], L, dt))
         d00, d11, d22, mean, shear = _deviator(b)
         # shear: sqrt(s : s / 2) / mu of s = mu dev(b_e)

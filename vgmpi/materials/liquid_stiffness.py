@@ -102,6 +102,6 @@ class Liquid(Material):
         return max(self.tait_exponent, 1.0 + 1e-6)
 
     @property
-    def most(self) -> float:
+    def max_theta(self) -> float:
         """Return the largest theta = ln J."""
         return NEVER if self.tension == "on" else 0.0

@@ -19,7 +19,7 @@ class Law(NamedTuple):
     gamma: float  # [-] stiffening exponent
     mu: float  # [Pa s] dynamic viscosity
     sound_speed_squared: float  # [m2/s2] squared speed of sound at rest
-    most: float  # [-] largest theta
+    max_theta: float  # [-] largest theta
 
 
 @material
@@ -47,7 +47,7 @@ class Fluid(Liquid):
     def law(self) -> NamedTuple:
         """Return the numbers of the law in SI units."""
         c2 = self.tait_coefficient * self.tait_exponent / self.density
-        return Law(self.tait_coefficient, self.exponent, self.viscosity, c2, self.most)
+        return Law(self.tait_coefficient, self.exponent, self.viscosity, c2, self.max_theta)
 
     @property
     def kinematic_viscosity(self) -> float:  # type: ignore[override]
@@ -72,7 +72,7 @@ class Fluid(Liquid):
             L: Velocity gradient, nine components, row by row [1/s].
             dt: Time step [s].
         """
-        return (np.minimum(state[0] + log_volume_change(L, dt), law.most),)
+        return (np.minimum(state[0] + log_volume_change(L, dt), law.max_theta),)
 
     @staticmethod
     def stress(law, state, L):

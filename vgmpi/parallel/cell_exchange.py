@@ -66,7 +66,7 @@ def cell_topology(
         lattice: Lattice of the blocks.
         rank: This rank.
     """
-    count = len(tables.at)
+    count = len(tables.coordinates)
     if not count:
         none = np.zeros((0, 64), bool)
         return CellTopology(np.zeros((0, 27), np.int64), none, {}, {})
@@ -75,8 +75,8 @@ def cell_topology(
     low = own.min(0) - MARGIN
     shape = tuple(own.max(0) + MARGIN + 1 - low)
     row_of = np.full(shape, count)
-    row_of[tuple((tables.at - low).T)] = np.arange(count)
-    places = np.clip(tables.at[:, None] - low + NEIGHBORS, 0, np.array(shape) - 1)
+    row_of[tuple((tables.coordinates - low).T)] = np.arange(count)
+    places = np.clip(tables.coordinates[:, None] - low + NEIGHBORS, 0, np.array(shape) - 1)
     neighbors = row_of[places[..., 0], places[..., 1], places[..., 2]]
 
     def _map_of(blocks: np.ndarray) -> np.ndarray:

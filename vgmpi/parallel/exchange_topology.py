@@ -55,11 +55,11 @@ class ExchangeTopology(NamedTuple):
     table: np.ndarray  # (segments, 27) node blocks around each segment
     first: np.ndarray  # (blocks + 1,) first node block of each block
     phase: np.ndarray  # (node blocks,) number of the phase
-    at: np.ndarray  # (blocks, 3) coordinates of the block
-    meets: np.ndarray  # (blocks,) bool, True if contact is possible
+    coordinates: np.ndarray  # (blocks, 3) coordinates of the block
+    may_touch: np.ndarray  # (blocks,) bool, True if contact is possible
     receives_remote: np.ndarray  # (blocks,) bool, True if another rank adds to the block's sums
     solid: np.ndarray  # (blocks,) row among the collider's blocks, or -1
-    asked: dict[str, np.ndarray]  # field -> (node blocks,) bool, True if a segment adds to it
+    has_terms: dict[str, np.ndarray]  # field -> (node blocks,) bool, True if a segment adds to it
     shared: dict[int, dict[str, SharedNodes]]  # rank -> field -> shared nodes
 
 
@@ -86,7 +86,9 @@ class TopologyRequirements(NamedTuple):
 
     phase_of: np.ndarray  # (groups,) phase of each group
     contact: bool  # phases may touch at all
-    apart: bool | MixtureProximity  # where stress impulses are summed separately; True: everywhere
+    separates_stress: (
+        bool | MixtureProximity
+    )  # where stress impulses are summed separately; True: everywhere
     fields: tuple[FieldPlace, ...] = ()
     surface: np.ndarray = np.zeros(0, bool)  # (phases,) True with surface descriptors
     planes: tuple[ContactWall, ...] = ()  # walls that act on such phases by contact
@@ -96,7 +98,7 @@ class TopologyRequirements(NamedTuple):
     @property
     def layers(self) -> list[str]:
         """Names of all nodal fields, in the order in which they are summed."""
-        impulses = ["impulses"] * bool(self.apart)
+        impulses = ["impulses"] * bool(self.separates_stress)
         return ["momentum", "offsets", *impulses, *(field.name for field in self.fields)]
 
     @property
@@ -125,8 +127,8 @@ def counting_owner(tables: ExchangeTopology, rank: int) -> np.ndarray:
     for other, layers in tables.shared.items():
         if other < rank and "momentum" in layers:
             taken[layers["momentum"].receive_blocks] |= layers["momentum"].receive_masks
-    of_block = np.repeat(np.arange(len(tables.at)), np.diff(tables.first))
-    mask_of = np.zeros(len(tables.at), np.uint64)
+    of_block = np.repeat(np.arange(len(tables.coordinates)), np.diff(tables.first))
+    mask_of = np.zeros(len(tables.coordinates), np.uint64)
     np.bitwise_or.at(mask_of, of_block, taken)
     bits = mask_of[:, None] >> np.arange(64, dtype=np.uint64) & np.uint64(1)
     return (bits == 0).astype(np.uint8)
@@ -139,7 +141,7 @@ class _Box:
         self.low = own.min(0) - _MARGIN
         self.shape = tuple(own.max(0) + _MARGIN + 1 - self.low)
 
-    def holds(self, block: np.ndarray) -> np.ndarray:
+    def contains(self, block: np.ndarray) -> np.ndarray:
         """Return True for the blocks (n, 3) inside the box."""
         return ((block >= self.low) & (block < self.low + self.shape)).all(1)
 
@@ -166,7 +168,7 @@ class _Box:
         """Changes of the flat index to each of the 27 blocks around a block, shape (27,)."""
         return self.index_of(self.low + NEIGHBORS)
 
-    def spread(self, values: np.ndarray, combine) -> np.ndarray:
+    def combine_with_neighbors(self, values: np.ndarray, combine) -> np.ndarray:
         """Combine each block's value with those of the blocks around it."""
         grid = values.reshape(self.shape)
         for a in range(3):
@@ -217,7 +219,7 @@ def build_topology(
         return _empty_topology(needs)
     block = lattice.block(census.code)
     box = _Box(block[mine])
-    rows = np.flatnonzero(box.holds(block))
+    rows = np.flatnonzero(box.contains(block))
     index, phase = box.index_of(block[rows]), needs.phase_of[census.group[rows]]
     contributes = _who_contributes(box, index, phase, census.group[rows], needs, solid)
     for feature in (feature for feature in features if feature.phases.any()):
@@ -225,7 +227,7 @@ def build_topology(
         contributes |= {name: contributes[name] | close_by for name in needs.near_surfaces}
     is_own = box.full(False, bool)
     is_own[index[mine[rows]]] = True
-    is_nearby = box.spread(is_own, np.logical_or)
+    is_nearby = box.combine_with_neighbors(is_own, np.logical_or)
     selected = is_nearby[index]
     row = rows[selected]
     segments = _Segments(
@@ -258,8 +260,8 @@ def _tables(
         is_near_solid = np.repeat(solid_of >= 0, np.diff(first))
         is_summed = dict.fromkeys(needs.near_surfaces, is_near_solid)
         active |= {name: active[name] & mask for name, mask in is_summed.items()}
-    meets = ((np.diff(first) > 1) & needs.contact) | (solid_of >= 0) | _at_plane(blocks, needs)
-    meets &= np.logical_or.reduceat(active["offsets"], new)
+    may_touch = ((np.diff(first) > 1) & needs.contact) | (solid_of >= 0) | _at_plane(blocks, needs)
+    may_touch &= np.logical_or.reduceat(active["offsets"], new)
     shared, border, waits = _shared(segments, contributes, table, is_summed, len(nodes))
     return ExchangeTopology(
         code=segments.code[own],
@@ -270,11 +272,11 @@ def _tables(
         table=table[own],
         first=first,
         phase=nodes % phases,
-        at=blocks,
-        meets=meets,
+        coordinates=blocks,
+        may_touch=may_touch,
         receives_remote=np.logical_or.reduceat(waits, new),
         solid=solid_of,
-        asked=active,
+        has_terms=active,
         shared=shared,
     )
 
@@ -336,16 +338,16 @@ def _who_contributes(
     wanted = near_solid.copy()
     if needs.contact:
         wanted |= _several_phases(box, index, phase)[index]
-    if needs.apart is True:
+    if needs.separates_stress is True:
         contributes["impulses"] = every
-    elif needs.apart:
-        separate = needs.apart
+    elif needs.separates_stress:
+        separate = needs.separates_stress
         close = _close(box, index, phase, int(needs.phase_of.max()) + 1)[:, index]
         sharing = (separate.shares[phase].T & close).any(0) & separate.fluid[phase]
         contributes["impulses"] = sharing | separate.every
         wanted &= (separate.contact[phase].T & close).any(0) | near_solid
     if needs.planes:
-        close_by = box.spread(_at_plane(box.every, needs), np.logical_or)[index]
+        close_by = box.combine_with_neighbors(_at_plane(box.every, needs), np.logical_or)[index]
         wanted = wanted | (close_by & needs.surface[phase])
     contributes["offsets"] = wanted
     at_solids = wanted & needs.in_contact[phase] if needs.in_contact.any() else ~every
@@ -360,7 +362,9 @@ def _several_phases(box, index, phase) -> np.ndarray:
     lowest, highest = box.full(1 << 30, np.int64), box.full(-1, np.int64)
     np.minimum.at(lowest, index, phase)
     np.maximum.at(highest, index, phase)
-    return box.spread(lowest, np.minimum) < box.spread(highest, np.maximum)
+    return box.combine_with_neighbors(lowest, np.minimum) < box.combine_with_neighbors(
+        highest, np.maximum
+    )
 
 
 def _close(box, index, phase, phases: int) -> np.ndarray:
@@ -369,7 +373,7 @@ def _close(box, index, phase, phases: int) -> np.ndarray:
     for k in range(phases):
         has_phase = box.full(False, bool)
         has_phase[index[phase == k]] = True
-        result[k] = box.spread(has_phase, np.logical_or)
+        result[k] = box.combine_with_neighbors(has_phase, np.logical_or)
     return result
 
 
@@ -384,7 +388,7 @@ def _at_plane(block: np.ndarray, needs: TopologyRequirements) -> np.ndarray:
 
 def _by_solid(box, solid) -> np.ndarray:
     """Return True for each block of the box that is at most one block from the collider."""
-    return box.spread(solid(box.every) >= 0, np.logical_or)
+    return box.combine_with_neighbors(solid(box.every) >= 0, np.logical_or)
 
 
 def _empty_topology(needs: TopologyRequirements) -> ExchangeTopology:
@@ -393,6 +397,7 @@ def _empty_topology(needs: TopologyRequirements) -> ExchangeTopology:
     by_layer = {name: no for name in needs.layers}
     return ExchangeTopology(
         code=none, group=none, block=places, contributes=by_layer, border=no,
-        table=np.zeros((0, 27), np.int64), first=np.zeros(1, np.int64), phase=none, at=places,
-        meets=no, receives_remote=no, solid=none, asked=by_layer, shared={},
+        table=np.zeros((0, 27), np.int64), first=np.zeros(1, np.int64), phase=none,
+        coordinates=places,
+        may_touch=no, receives_remote=no, solid=none, has_terms=by_layer, shared={},
     )  # fmt: skip

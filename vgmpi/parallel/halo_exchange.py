@@ -122,5 +122,5 @@ class _Message:
 def _node_list(tables: ExchangeTopology, blocks, masks) -> bytes:
     """Return the data both ranks must agree on: coordinates, phase and nodes of each node block."""
     block = np.searchsorted(tables.first, blocks, side="right") - 1
-    rows = np.column_stack([tables.at[block], tables.phase[blocks], masks.view(np.int64)])
+    rows = np.column_stack([tables.coordinates[block], tables.phase[blocks], masks.view(np.int64)])
     return np.ascontiguousarray(rows, np.int64).tobytes()

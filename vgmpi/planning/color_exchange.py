@@ -17,12 +17,12 @@ from .interaction_rules import connected_sets
 class ColorExchange(NamedTuple):
     """Colors that are transferred in every step, as spherical harmonics.
 
-    Particles carry the difference from `least`, so that equal colors stay exactly equal.
+    Particles carry the difference from `minimum`, so that equal colors stay exactly equal.
     """
 
     set_of: np.ndarray  # (phases,) exchange set; phases of one set exchange; -1: none
     coefficients: np.ndarray  # (phases,) coefficients per particle; 0: none travel
-    least: np.ndarray  # (phases, K, 3) minimum over the set, which is subtracted
+    minimum: np.ndarray  # (phases, K, 3) minimum over the set, which is subtracted
     span: np.ndarray  # (phases, K) largest remaining value
 
 

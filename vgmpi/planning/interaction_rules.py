@@ -179,7 +179,7 @@ def with_slip_wave_factors(
 
 def _wave2(group) -> float:
     """Return the squared wave speed of a group at rest [m2/s2]."""
-    return float(law_function(group.law, "wave_speed2")(group.law, group.rest))
+    return float(law_function(group.law, "wave_speed2")(group.law, group.reference))
 
 
 def _slipping_waves(first, second, slip_relaxation_time: float, step_length: float) -> float:

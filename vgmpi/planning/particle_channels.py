@@ -19,7 +19,7 @@ class Channel(NamedTuple):
     first: int  # first row
     width: int  # number of rows
     unit: str
-    rest: tuple[float, ...]  # (width,) values in the reference state
+    reference: tuple[float, ...]  # (width,) values in the reference state
     dataset: str  # checkpoint dataset; channels of one dataset are adjacent
 
     @property
@@ -87,9 +87,9 @@ class Channels:
         return rows.stop - rows.start
 
     @cached_property
-    def rest(self) -> tuple[float, ...]:
+    def reference(self) -> tuple[float, ...]:
         """Reference values of all channels, shape (count,); the volume is 0."""
-        return tuple(value for channel in self for value in channel.rest)
+        return tuple(value for channel in self for value in channel.reference)
 
     @cached_property
     def datasets(self) -> dict[str, slice]:

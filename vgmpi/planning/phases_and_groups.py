@@ -41,7 +41,7 @@ class GroupPlan(NamedTuple):
     state: tuple[tuple[str, tuple[float, ...]], ...]  # state variables, reference values
     cost: float  # [-] work per particle relative to a fluid's
     share: float = 1.0  # [-] fraction of a particle's rest volume that the material itself fills
-    apart: bool = False  # stress impulses are summed separately from momentum
+    separates_stress: bool = False  # stress impulses are summed separately from momentum
     shares: bool = False  # it is a fluid in a mixture or in pores
     pores: float = 1.0  # [-] smallest initial porosity, for fluids that flow through sand
     stiff: float = 0.0  # [m2/s2] squared wave speed that such sand adds
@@ -74,7 +74,7 @@ class GroupPlan(NamedTuple):
         return self.pores < 1.0
 
     @property
-    def rest(self) -> tuple:
+    def reference(self) -> tuple:
         """State of the law in the reference configuration, one number per channel."""
         return tuple(value for _, values in self.state for value in values)
 
@@ -117,8 +117,8 @@ class PhasePlan(NamedTuple):
     families: tuple[str, ...]  # of its bodies
     objects: tuple[int, ...]  # rows of the objects and inlets that are ever in it
     contact_priority: int  # contact priority; the normals of phase 0 come first
-    least: float  # [kg] mass of a cell full of its lightest material
-    most: float  # [kg] mass of a cell full of its densest material
+    min_cell_mass: float  # [kg] mass of a cell full of its lightest material
+    max_cell_mass: float  # [kg] mass of a cell full of its densest material
     surface: bool = False  # contact uses surface descriptors of its bodies, not particles alone
     driven: bool = False  # its velocity is prescribed
     fills_by_volume: bool = False  # its liquids are shifted and differ in density
@@ -319,8 +319,8 @@ def with_runtime_requirements(
     if interval:
         group = group._replace(cost=group.cost + COSTS.correction.total / interval)
     if flip is not None:
-        return group._replace(apart=True, cost=group.cost + COSTS.flip.total)
-    if scene.accuracy.dilatation == "cells" and group.is_liquid and not group.apart:
+        return group._replace(separates_stress=True, cost=group.cost + COSTS.flip.total)
+    if scene.accuracy.dilatation == "cells" and group.is_liquid and not group.separates_stress:
         cost = group.cost + COSTS.cell_dilatation.total
         return group._replace(cell_dilatation=True, cost=cost)
     return group
@@ -332,7 +332,7 @@ def _with_shared_space(
     """Return the group with what it needs to share space with other phases."""
     if sharing is None or sharing.mixture_set[group.phase] < 0 or not sharing.fluid[group.phase]:
         return group
-    group = group._replace(apart=True, shares=True)
+    group = group._replace(separates_stress=True, shares=True)
     for coupling in scene.coupling:
         if coupling.rule == DRAG and group.material in coupling.between:
             sand = scene.material[next(m for m in coupling.between if m != group.material)]
@@ -371,21 +371,21 @@ def with_volume_correction(
     )
     shifted = {group.phase for group in corrected if group.shifts}
     return corrected, tuple(
-        phase._replace(fills_by_volume=p in shifted and phase.least < phase.most)
+        phase._replace(fills_by_volume=p in shifted and phase.min_cell_mass < phase.max_cell_mass)
         for p, phase in enumerate(phases)
     )
 
 
 def _with_shifting(scene: Scene, group: GroupPlan, phase: PhasePlan) -> GroupPlan:
     """Return the group, whose particles are shifted."""
-    by_volume = phase.least < phase.most
+    by_volume = phase.min_cell_mass < phase.max_cell_mass
     cost = shift_cost(scene.accuracy.corrects_transfers, shift_interval(scene), by_volume)
     return group._replace(shifts=True, cost=group.cost + cost.total)
 
 
 def _with_density_correction(scene: Scene, group: GroupPlan, phase: PhasePlan) -> GroupPlan:
     """Return the group with its density correction."""
-    if phase.least < phase.most:
+    if phase.min_cell_mass < phase.max_cell_mass:
         message = (
             f"{phase.name!r} holds liquids of different density, whose cells do not tell how full"
             " they are; give each a phase of its own, or a coupling of kind 'mixing'"
@@ -452,7 +452,9 @@ def _is_soft(scene, phase, p, groups, weight, pulls, volume, center) -> bool:
     if any(getattr(scene.entities[k], "gaussians", None) for k in phase.objects):
         return True
     own = [group for group in groups if group.phase == p]
-    waves = [float(law_function(group.law, "wave_speed2")(group.law, group.rest)) for group in own]
+    waves = [
+        float(law_function(group.law, "wave_speed2")(group.law, group.reference)) for group in own
+    ]
     modulus = min(group.density * wave for group, wave in zip(own, waves, strict=True))
     size = math.cbrt(math.fsum(volume[k] for k in phase.objects))
     if not (size > 0.0 and modulus > 0.0):

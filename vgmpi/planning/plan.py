@@ -230,7 +230,12 @@ class Plan:
         width, nodes = self.real.itemsize, 64 * 4
         sum_bytes = 8 * (1 if width == 4 else 2) + width  # a reproducible sum, and its value
         touches = self.contact or self.collider or bool(self.planes)
-        layers = 1 + touches + self.has_surface_friction + any(group.apart for group in self.groups)
+        layers = (
+            1
+            + touches
+            + self.has_surface_friction
+            + any(group.separates_stress for group in self.groups)
+        )
         layers += max(group.coefficients for group in self.groups)
         layers += any(phase.fills_by_volume for phase in self.phases)
         more = (self.rules is not None) + (self.flip is not None) + self.drifts
@@ -353,7 +358,7 @@ def _wave_moduli(groups: tuple[GroupPlan, ...], phases: int) -> tuple[float, ...
     """Return the largest density times squared wave speed at rest, by phase [Pa]."""
     out = [0.0] * phases
     for group in groups:
-        wave2 = float(law_function(group.law, "wave_speed2")(group.law, group.rest))
+        wave2 = float(law_function(group.law, "wave_speed2")(group.law, group.reference))
         out[group.phase] = max(out[group.phase], group.density * wave2)
     return tuple(out)
 

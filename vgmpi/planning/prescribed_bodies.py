@@ -36,7 +36,7 @@ class PrescribedBodyPlan(NamedTuple):
     group_after_release: int  # group after the release
     course: Trajectory | None  # prescribed motion; None: the bodies are frozen
     about: tuple[float, float, float]  # [m] center of rotation, or their center
-    far: float  # [m] largest distance of a particle from the axis of rotation
+    max_radius: float  # [m] largest distance of a particle from the axis of rotation
     layers: tuple[ReleaseLayer, ...]  # in order of time; empty if never released
 
     @property
@@ -89,7 +89,8 @@ def prescribed_body_plans(
     for name, rows in prescribed_phases(scene).items():
         released, first = group_of[rows[0]], scene.object[rows[0]]
         own = groups[released]._replace(
-            name=f"{name}/{first.material}", phase=number[name], apart=False, shares=False,
+            name=f"{name}/{first.material}", phase=number[name], separates_stress=False,
+            shares=False,
             driven=True,
         )  # fmt: skip
         for k in rows:

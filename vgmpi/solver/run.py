@@ -116,7 +116,7 @@ class Runner:
             options.stop_steps, options.stop_seconds, scene.output.checkpoint_interval
         )
         self.warned = self.is_at_frame = False
-        self.asked = False, False  # whether a program asks for a stop, and for a frame at it
+        self.stop_request = False, False  # whether a program asks for a stop, and for a frame at it
         self.code: int | None = None
         self.initial_conservation: list[dict] = []
         self.latest_conservation: list[dict] = []
@@ -184,13 +184,13 @@ class Runner:
 
         It counts on any rank, in runs whose options allow it (Options.steered).
         """
-        self.asked = True, frame
+        self.stop_request = True, frame
 
     def _is_asked_to_stop(self) -> bool:
         """Return whether a rank asks for a stop, after writing the frame that it asks for."""
         if not self.options.steered:
             return False
-        stop, frame = self.ranks.max(np.array(self.asked, float))
+        stop, frame = self.ranks.max(np.array(self.stop_request, float))
         if frame and not self.is_at_frame:
             self._write_frame()
         return bool(stop)

@@ -93,21 +93,21 @@ class ImplicitPressure(ActiveFeature):
         if self.exchange is not None:
             self.exchange.link.close()
         self.exchange = CellExchange(self.ranks, cells, self.plan.real)
-        count = len(tables.at)
+        count = len(tables.coordinates)
         if len(self.fields.mass) < 64 * (count + 1):
             self.fields = self._make_fields(count + count // 4)
         for values in self.fields:
             values[:] = 0
         grid = cells.neighbors.reshape(count, 3, 3, 3)
         index = (
-            BLOCK_EDGE * tables.at[:, None]
+            BLOCK_EDGE * tables.coordinates[:, None]
             - 1
             + np.stack(np.unravel_index(np.arange(64), (BLOCK_EDGE,) * 3), 1)
         )
         inside = ((index >= 0) & (index < self.plan.cells)).all(2)
         self.beyond = (~inside).astype(self.plan.real).reshape(-1)
         self.grid = Lattice(
-            tables.at,
+            tables.coordinates,
             grid[:, 1::-1, 1::-1, 1::-1].reshape(-1),
             grid[:, 1:, 1:, 1:].reshape(-1),
             cells.neighbors.reshape(-1),

@@ -70,7 +70,7 @@ def relative_pressure(law, f, p, cap):
     return np.minimum(np.expm1(-law.gamma * theta), 0.0 * theta + MAX_RELATIVE_PRESSURE)
 
 
-@particle_contribution.of(ParticlePressure)
+@particle_contribution.register(ParticlePressure)
 def _particle_pressure(kind, law, count, offset, cap, f, extra, peak, records, dt):
     o = broadcast(f, 0.0)
     for n in range(0, count, 16):
@@ -79,7 +79,7 @@ def _particle_pressure(kind, law, count, offset, cap, f, extra, peak, records, d
         store_records(records, 16 * n, (o, o, o, amount, o, o, o, o, o, o, o, o, o, o, o, o))
 
 
-accumulate.of(ParticlePressure)(by_weights)
+accumulate.register(ParticlePressure)(by_weights)
 
 
 class ImplicitPressureGather(NamedTuple):
@@ -90,15 +90,15 @@ class ImplicitPressureGather(NamedTuple):
 
 
 for _dispatch in (particle_velocity, max_velocity, advection_velocity):
-    _dispatch.of(ImplicitPressureGather)(_dispatch.table[VelocityOnly])
+    _dispatch.register(ImplicitPressureGather)(_dispatch.table[VelocityOnly])
 
 
-@load_patches.of(ImplicitPressureGather)
+@load_patches.register(ImplicitPressureGather)
 def _(kind, blocks, box, mirror, real, ghosts, s):
     load_mirrored_patch(kind.moves, blocks, box, mirror, patch_of(real, 0), None, s)
 
 
-@gather_batch.of(ImplicitPressureGather)
+@gather_batch.register(ImplicitPressureGather)
 def _(kind, count, weights, records, base, real, extra):
     """Gather the displacement [cells] and the relative pressure."""
     gather_value(count, records, weights, base, patch_of(real, 0))
@@ -107,7 +107,7 @@ def _(kind, count, weights, records, base, real, extra):
         extra[3 * BATCH + n] = records[16 * n + 3]
 
 
-@displacement.of(ImplicitPressureGather)
+@displacement.register(ImplicitPressureGather)
 def _(kind, extra, n, moves):
     x, y, z = moves
     return (
@@ -117,7 +117,7 @@ def _(kind, extra, n, moves):
     )
 
 
-@velocity_gradient.of(ImplicitPressureGather)
+@velocity_gradient.register(ImplicitPressureGather)
 def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
     """Set the volume ratio by the pressure, and return the gradient without its trace."""
     c0, c1, c2, c3, c4, c5, c6, c7, c8 = L
@@ -126,6 +126,6 @@ def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
     return (c0 - third, c1, c2, c3, c4 - third, c5, c6, c7, c8 - third)
 
 
-@mixture_wave_speed_squared.of(ImplicitPressureGather)
+@mixture_wave_speed_squared.register(ImplicitPressureGather)
 def _(kind, f, p, cap, numbers, wave2):
     return 0.0 * wave2

@@ -65,7 +65,7 @@ class Inlets(ActiveFeature):
         self.active_bounds, plan = ParticleBounds(), self.plan  # bounds of active inlets
         for source in plan.sources:
             group, v = plan.groups[source.group], source.velocity[None]
-            own = bounds_of(plan, group, [group.rest], v, np.zeros((1, 9)))
+            own = bounds_of(plan, group, [group.reference], v, np.zeros((1, 9)))
             self.active_bounds = self.active_bounds.merge(own)
         self.last_passage = max(source.mouth_time(source.particles - 1) for source in plan.sources)
 
@@ -146,7 +146,9 @@ class Inlets(ActiveFeature):
         for carried in self.carried:
             for channel in carried.group.plan.channels if len(carried.indices) else ():
                 if channel.name not in STATIC_CHANNELS:
-                    carried.group.f[channel.rows, carried.indices] = np.array(channel.rest)[:, None]
+                    carried.group.f[channel.rows, carried.indices] = np.array(channel.reference)[
+                        :, None
+                    ]
             if len(carried.indices):
                 carried.group.put(
                     "v",

@@ -45,7 +45,7 @@ class ColliderMotion(ActiveFeature):
             tables: Topology of this rank.
             census: Segments of this rank and nearby ones.
         """
-        self.colliders.take(tables.at[tables.solid >= 0])
+        self.colliders.take(tables.coordinates[tables.solid >= 0])
 
     def limit_rate(self, time: float, rate: float) -> float:
         """Return 1 / dt [1/s], at least `rate`, of a step in which no collider moves too far."""

@@ -166,7 +166,7 @@ class PinnedCoupling(MovingColliders, ActiveFeature):
             census: Segments of this rank and nearby ones.
         """
         self.tables = tables
-        self.take(tables.at)
+        self.take(tables.coordinates)
         self.reserved_nodes = np.zeros((len(tables.phase), 64), np.uint8)
         self.thread_rows = []  # the nodes are found in the next step
 
@@ -196,7 +196,7 @@ class PinnedCoupling(MovingColliders, ActiveFeature):
         assert tables is not None
         while True:
             self.count = find_pinned_nodes(
-                self.close, self.table, tables.first, tables.phase, tables.at, self.dx,
+                self.close, self.table, tables.first, tables.phase, tables.coordinates, self.dx,
                 self.reserved_nodes, self.pinned,
             )  # fmt: skip
             if self.count <= len(self.pinned.part):
@@ -373,7 +373,7 @@ def apply_pins(rows, pinned, table, movers, fields, blocks, walls, dt, dx, react
         v, surface = fields.velocities[nb, 4 * node : 4 * node + 4], pinned.surface[q]
         if table.body[m] >= 0 or not v[3] > 0.0:
             continue
-        _set_place(ijk, x, blocks.at[b], node, dx)
+        _set_place(ijk, x, blocks.coordinates[b], node, dx)
         axes = stopped_axes(ijk, walls)
         if axes < 0:
             continue
@@ -388,7 +388,7 @@ def apply_pins(rows, pinned, table, movers, fields, blocks, walls, dt, dx, react
             set_node(reaction, node, ijk[0], ijk[1], ijk[2])
             reaction.now[2] = table.row[m]
             for c in range(3):  # impulses act at nodes: angular momentum is exact
-                reaction.at[c] = reaction.node[c]
+                reaction.surface_point[c] = reaction.node[c]
             add_contact_reaction(reaction, before, v, float(v[3]), speed, 0, 0)
 
 
@@ -417,7 +417,7 @@ def find_pinned_contacts(rows, pinned, table, fields, blocks, walls, bodies, cou
         k = table.body[pinned.part[row]]
         if k < 0 or not v[3] > 0.0:
             continue
-        _set_place(ijk, x, blocks.at[b], node, dx)
+        _set_place(ijk, x, blocks.coordinates[b], node, dx)
         if stopped_axes(ijk, walls) != 0:
             continue
         if count < len(out.mass):

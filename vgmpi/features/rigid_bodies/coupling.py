@@ -95,7 +95,7 @@ class NodesNearBodies(NamedTuple):
     colliders: SampledSdf
     block: np.ndarray  # (n,) blocks near colliders
     surfaces: np.ndarray  # (n, 64, 4) normal and distance [m] of the nearest collider
-    whose: np.ndarray  # (n, 64) its number
+    collider_number: np.ndarray  # (n, 64) its number
     counts: np.ndarray  # (blocks, 64) 1 at the nodes that this rank counts
     velocities: np.ndarray  # (node blocks, 256) velocities and masses
     offsets: np.ndarray  # (node blocks, 256) values of the field of offsets, or without rows
@@ -136,7 +136,7 @@ class RigidBodies(ActiveFeature):
         self.friction = rows[np.minimum(self.bodies.rows, len(rows) - 1)]
         self.adhesion = self._adhesion_law()
         self.contacts = no_contacts(1024, len(self.adhesion.length) > 0)
-        self.near, self.counts = np.zeros(0, np.int64), np.zeros((0, 64), np.uint8)
+        self.near_rows, self.counts = np.zeros(0, np.int64), np.zeros((0, 64), np.uint8)
         self.points = body_contact.contact_points(POINTS_PER_BODY * count)
         self.points_before, self.touching = body_contact.contact_points(0), 0
         free = [movers.colliders[m] for m in self.bodies.rows]
@@ -145,7 +145,9 @@ class RigidBodies(ActiveFeature):
         size = np.array(plan.cells) * plan.dx
         self.arm = 2.0 * float(np.sqrt((size**2).sum()))
         volume = float(np.prod(size + plan.dx))
-        self.most = HEADROOM * volume * max(phase.most for phase in plan.phases) / plan.dx**3
+        self.max_mass = (
+            HEADROOM * volume * max(phase.max_cell_mass for phase in plan.phases) / plan.dx**3
+        )
 
     def couple_nodes(self, nodes: NodeState, span: StepSpan, gravity: np.ndarray) -> None:
         """Advance the bodies by a step, and change the velocities of the nodes that touch them.
@@ -171,7 +173,7 @@ class RigidBodies(ActiveFeature):
             tables: Topology of this rank.
             census: Segments of this rank and nearby ones.
         """
-        self.near = np.flatnonzero(tables.solid >= 0)
+        self.near_rows = np.flatnonzero(tables.solid >= 0)
         self.counts = counting_owner(tables, self.ranks.rank)
 
     def failure(self) -> str:
@@ -208,7 +210,7 @@ class RigidBodies(ActiveFeature):
         bodies = self.bodies
         count = self._find_contacts(nodes, dt)
         speed = self.plan.dx / dt * HEADROOM
-        mass = float(next_power_of_two(self.most)) * 2.0**-SUM_BITS
+        mass = float(next_power_of_two(self.max_mass)) * 2.0**-SUM_BITS
         arm, fast = (float(next_power_of_two(v)) for v in (self.arm, speed))
         powers = [(a > 2) + (c > 2) for a in range(6) for c in range(a, 6)]
         quanta = np.array(
@@ -257,7 +259,8 @@ class RigidBodies(ActiveFeature):
         marks = reserved_nodes(self.features)
         coupled = CoupledBodies(self.number_of, bodies.x, self.friction, self.adhesion)
         near = NodesNearBodies(
-            self.movers.table, self.near, self.movers.nodes, self.movers.whose, self.counts,
+            self.movers.table, self.near_rows, self.movers.nodes, self.movers.collider_number,
+            self.counts,
             nodes.velocities, nodes.fields["offsets"].nodes, fields,
             NO_NODES if marks is None else marks,
         )  # fmt: skip
@@ -412,15 +415,15 @@ def find_contacts(nodes, tables, bodies, phases, walls, dt, dx, out, count):
             d = float(nodes.surfaces[row, node, 3])
             if not abs(d) < REACH_CELLS * dx:
                 continue
-            k = bodies.number_of[nodes.whose[row, node]]
+            k = bodies.number_of[nodes.collider_number[row, node]]
             if k < 0:
                 continue
-            set_node_indices(ijk, tables.at[b], node)
+            set_node_indices(ijk, tables.coordinates[b], node)
             for c in range(3):
                 n[c] = nodes.surfaces[row, node, c]
             if _is_close_to_wall(ijk, walls.cells):
                 d = _distance_without_flush_face(
-                    nodes.colliders, nodes.whose[row, node], ijk, walls, n, d, dx
+                    nodes.colliders, nodes.collider_number[row, node], ijk, walls, n, d, dx
                 )
                 if not abs(d) < REACH_CELLS * dx or not _clears_wall(n, ijk, walls):
                     continue
@@ -432,7 +435,7 @@ def find_contacts(nodes, tables, bodies, phases, walls, dt, dx, out, count):
                     continue
                 if count < len(out.mass):
                     flow = flow_fraction(
-                        nodes.velocities[nb, 4 * node + 3], phases.least[p], d / dx
+                        nodes.velocities[nb, 4 * node + 3], phases.min_cell_mass[p], d / dx
                     )
                     _store_contact(out, count, nodes, 256 * nb + 4 * node, n, d, flow, dx, slope)
                     out.body[count], out.counts[count] = k, nodes.counts[b, node]

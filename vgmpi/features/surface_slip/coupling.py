@@ -59,7 +59,7 @@ class NodesNearColliders(NamedTuple):
 
     surfaces: np.ndarray  # (n, 64, 4) normal and distance [m] of the nearest collider
     moves: np.ndarray  # (n, 64, 3) [m/s] its velocity, or without rows
-    whose: np.ndarray  # (n, 64) its number, or without rows
+    collider_number: np.ndarray  # (n, 64) its number, or without rows
     velocities: np.ndarray  # (node blocks, 256) velocities and masses (in/out)
     offsets: np.ndarray  # (node blocks, 256) values of the field of offsets
     fields: tuple[Sums, ...]  # the three fields of velocity gradients
@@ -115,8 +115,8 @@ def apply_collider_slip(rows, nodes, tables, law, phases, walls, dt, dx, reactio
             d = float(surface[3])
             if not abs(d) < REACH_CELLS * dx:
                 continue
-            collider = nodes.whose[row, node] if len(nodes.whose) > 0 else 0
-            set_node_indices(ijk, tables.at[b], node)
+            collider = nodes.collider_number[row, node] if len(nodes.collider_number) > 0 else 0
+            set_node_indices(ijk, tables.coordinates[b], node)
             axes = stopped_axes(ijk, walls)
             if axes < 0:
                 continue
@@ -136,7 +136,7 @@ def apply_collider_slip(rows, nodes, tables, law, phases, walls, dt, dx, reactio
                 for c in range(3):
                     before[c] = v[c]
                 mass = float(v[3])
-                flow = flow_fraction(mass, phases.least[p], d / dx)
+                flow = flow_fraction(mass, phases.min_cell_mass[p], d / dx)
                 eta, depth = law.viscosity[p], depth_in_flow(nodes, o, surface, dx)
                 masses = (
                     adhering_mass(length, eta, mass, d / dx, dt, dx),
@@ -147,7 +147,7 @@ def apply_collider_slip(rows, nodes, tables, law, phases, walls, dt, dx, reactio
                     set_node(reaction, node, ijk[0], ijk[1], ijk[2])
                     set_collider(reaction, collider, surface)
                     for c in range(3):  # impulses act at nodes: angular momentum is exact
-                        reaction.at[c] = reaction.node[c]
+                        reaction.surface_point[c] = reaction.node[c]
                     add_contact_reaction(reaction, before, v, mass, speed, 0, 0)
 
 
@@ -182,7 +182,7 @@ class SlipScratch(NamedTuple):
 def _find_surface(nodes, phases, p, nb, node, normal, dx):
     """Store the normal of a solid's surface at a node; return its distance [cells], or infinity."""
     mass = float(nodes.velocities[nb, 4 * node + 3])
-    if not mass > CONTACT_MASS_FLOOR * phases.least[p]:
+    if not mass > CONTACT_MASS_FLOOR * phases.min_cell_mass[p]:
         return math.inf
     side = nodes.offsets[nb, 4 * node : 4 * node + 4]
     for c in range(3):
@@ -211,7 +211,7 @@ def _store_impulse(nodes, law, phases, pair, flat, outside, dt, dx, scratch):
     length, eta = law.adhesion.length[pair[1], pair[0]], law.adhesion.viscosity[pair[0]]
     if law.driven[pair[1]]:
         reduced = mass
-    flow = flow_fraction(mass, phases.least[pair[0]], outside)
+    flow = flow_fraction(mass, phases.min_cell_mass[pair[0]], outside)
     depth = depth_in_flow(nodes, flat[0], scratch.normal, dx)
     adhering = adhering_mass(length, eta, reduced, outside, dt, dx)
     drag = flow * shear_drag(length, eta, reduced, outside, depth, dt, dx)
@@ -268,7 +268,7 @@ def apply_solid_slip(rows, nodes, tables, law, phases, walls, dt, dx, reaction):
     for b in rows:
         set_block(reaction, b)
         for node in range(64):
-            set_node_indices(ijk, tables.at[b], node)
+            set_node_indices(ijk, tables.coordinates[b], node)
             axes = stopped_axes(ijk, walls)
             if axes < 0:
                 continue
@@ -369,7 +369,7 @@ class ColliderSlip(SlipOnSurfaces):
     def nodes_of(self, *fields) -> NodesNearColliders:
         """Return the nodes near colliders; fields: see `SlipOnSurfaces.nodes_of`."""
         solids = self.solids
-        return NodesNearColliders(solids.nodes, solids.moves, solids.whose, *fields)
+        return NodesNearColliders(solids.nodes, solids.moves, solids.collider_number, *fields)
 
 
 class SolidSlip(SlipOnSurfaces):
@@ -388,7 +388,7 @@ class SolidSlip(SlipOnSurfaces):
 
     def blocks_of(self, tables: ExchangeTopology) -> np.ndarray:
         """Return in which blocks several phases meet, shape (blocks,) bool."""
-        return tables.meets & (np.diff(tables.first) > 1)
+        return tables.may_touch & (np.diff(tables.first) > 1)
 
     def nodes_of(self, *fields) -> NodesOfPhases:
         """Return the nodes; fields: see `SlipOnSurfaces.nodes_of`."""

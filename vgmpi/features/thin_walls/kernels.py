@@ -156,7 +156,7 @@ def turn_faces(shells, m, faces):
         faces[q, 3] = shells.scratch[q, 3]
 
 
-@sample_side.of(SampledShells)
+@sample_side.register(SampledShells)
 def _side(shells, m, own, sample):
     both = shells.scratch
     kind = sample_shell(shells, m, own, both)
@@ -168,7 +168,7 @@ def _side(shells, m, own, sample):
     return 1 - 2 * side
 
 
-@store_side.of(SampledShells)
+@store_side.register(SampledShells)
 def _store(shells, m, b, node, side):
     for q in range(2):
         shells.faces[b, node, q, 3] = np.inf
@@ -215,7 +215,7 @@ def find_sides(points, shells, middle, kinds, faces):
 SidedPhases = namedtuple("SidedPhases", (*Phases._fields, "side", "twin", "walls", "faces"))  # type: ignore[misc]
 
 
-@unite_phases.of(SidedPhases)
+@unite_phases.register(SidedPhases)
 def _unite(phases, block, solid, phase_of, nodes, offsets, dx):
     for back in range(block.n0, block.n1):
         front = _other_side(phases, back, block.n0, block.n1, phase_of)
@@ -230,13 +230,13 @@ def _unite(phases, block, solid, phase_of, nodes, offsets, dx):
                 nodes[o + c] = (m * nodes[o + c] + n * nodes[p + c]) / (m + n)
                 nodes[p + c] = 0.0
             nodes[o + 3], nodes[p + 3] = m + n, -n
-            if block.meets:
+            if block.may_touch:
                 for c in range(4):
                     offsets[o + c] += offsets[p + c]
     sync_threads()
 
 
-@part_phases.of(SidedPhases)
+@part_phases.register(SidedPhases)
 def _part(phases, block, phase_of, nodes):
     sync_threads()
     for back in range(block.n0, block.n1):
@@ -253,7 +253,7 @@ def _part(phases, block, phase_of, nodes):
     sync_threads()
 
 
-@average_phases.of(SidedPhases)
+@average_phases.register(SidedPhases)
 def _average(phases, n0, n1, solid, phase_of, nodes, dx):
     for back in range(n0, n1):
         front = _other_side(phases, back, n0, n1, phase_of)
@@ -269,12 +269,12 @@ def _average(phases, n0, n1, solid, phase_of, nodes, dx):
     sync_threads()
 
 
-@are_apart.of(SidedPhases)
+@are_apart.register(SidedPhases)
 def _apart(phases, p, q, solid, node, dx):
     return phases.side[p] * phases.side[q] < 0 and is_divided(phases, solid, node, dx)
 
 
-@face_of_phase.of(SidedPhases)
+@face_of_phase.register(SidedPhases)
 def _own_face(phases, p, solid, node, dx, normal, distance):
     if phases.side[p] == 0 or not is_divided(phases, solid, node, dx):
         return distance
@@ -284,21 +284,21 @@ def _own_face(phases, p, solid, node, dx, normal, distance):
     return face[3]
 
 
-@distance_of_phase.of(SidedPhases)
+@distance_of_phase.register(SidedPhases)
 def _own_distance(phases, p, solid, node):
     if phases.side[p] == 0:
         return np.inf
     return phases.faces[solid, node, (1 - phases.side[p]) // 2, 3]
 
 
-@is_divided.of(SidedPhases)
+@is_divided.register(SidedPhases)
 def _is_close_to_wall(phases, solid, node, dx):
     if solid < 0 or not phases.faces[solid, node, 0, 3] < np.inf:
         return False
     return phases.walls[solid, node, 3] < SIDED_CELLS * dx
 
 
-@half_of.of(SidedPhases)
+@half_of.register(SidedPhases)
 def _stored_side(phases, p):
     return phases.side[p]
 

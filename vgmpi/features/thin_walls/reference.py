@@ -31,10 +31,10 @@ class WallSides:
             (twin, p) for p, twin in enumerate(plan.twin) if self.half[p] < 0 and twin >= 0
         ]
         self.collider, self.moves = np.zeros((*dense.shape, 4)), np.zeros((*dense.shape, 3))
-        self.whose = np.zeros(dense.shape, np.int64)
+        self.collider_number = np.zeros(dense.shape, np.int64)
         self.faces = np.zeros((*dense.shape, 2, 4))
         self.is_divided = np.zeros(dense.shape, bool)  # where the two sides are two fields
-        self.united: list[tuple[int, int, np.ndarray]] = []  # front, back, where both are one
+        self.merged_sides: list[tuple[int, int, np.ndarray]] = []  # front, back, where both are one
 
     def place(self) -> None:
         """Copy the colliders as they are in this step to dense arrays."""
@@ -44,8 +44,8 @@ class WallSides:
         self.collider[..., 3] = self.faces[..., 3] = np.inf
         self.collider[index], self.moves[index] = movers.nodes[inside], movers.moves[inside]
         self.faces[index] = table.faces[inside]
-        if len(movers.whose):
-            self.whose[index] = movers.whose[inside]
+        if len(movers.collider_number):
+            self.collider_number[index] = movers.collider_number[inside]
         close = self.collider[..., 3] < SIDED_CELLS * self.dense.dx
         self.is_divided = close & (self.faces[..., 0, 3] < np.inf)
 
@@ -57,7 +57,7 @@ class WallSides:
             mass: Masses (in/out), shape (phases, ...) [kg].
             sums: Other nodal sums (in/out), shape (phases, ..., n).
         """
-        self.united = []
+        self.merged_sides = []
         for front, back in self.pairs:
             common = (mass[back] > 0.0) & ~self.is_divided
             v[front][common] = _mean(v, mass, front, back, common)
@@ -66,11 +66,11 @@ class WallSides:
             mass[back][common] = 0.0
             for field in sums:
                 field[front][common] += field[back][common]
-            self.united.append((front, back, common))
+            self.merged_sides.append((front, back, common))
 
     def part(self, v: np.ndarray) -> None:
         """Give back sides the common velocity where `unite` made both one."""
-        for front, back, common in self.united:
+        for front, back, common in self.merged_sides:
             v[back][common] = v[front][common]
 
     def average(self, v: np.ndarray, mass: np.ndarray) -> None:

@@ -30,7 +30,7 @@ class MovingColliders:
     Attributes:
         nodes: Outward normal and distance [m], shape (n, 64, 4).
         moves: Velocity of the surface, shape (n, 64, 3) [m/s].
-        whose: Number of the nearest collider, shape (n, 64) if requested, else (0, 64).
+        collider_number: Number of the nearest collider, shape (n, 64) if requested, else (0, 64).
         blocks: Blocks, shape (n, 3).
     """
 
@@ -61,7 +61,7 @@ class MovingColliders:
         self.free = free
         is_free = np.array([collider.body is not None for collider in colliders])
         self.is_free = is_free if is_free.any() else np.zeros(0, bool)
-        self.far = np.array(
+        self.max_radius = np.array(
             [colliders[m].course.max_radius(*colliders[m].ends()) for m in self.moving]
         )
         self.since = 0.0  # [s] time at which the blocks were searched
@@ -106,7 +106,7 @@ class MovingColliders:
         self.nearby = np.searchsorted(rows[order], np.arange(len(blocks) + 1)), collider
         self.nodes = np.zeros((len(blocks), 64, 4), self.real)
         self.moves = np.zeros((len(blocks), 64, 3), self.real)
-        self.whose = np.zeros((len(blocks) * self.numbered, 64), np.int64)
+        self.collider_number = np.zeros((len(blocks) * self.numbered, 64), np.int64)
         self.table = self.table.with_blocks(len(blocks))
 
     def place(self, time: float) -> None:
@@ -124,7 +124,7 @@ class MovingColliders:
         table.rotation_end[self.moving], table.move_end[self.moving] = rotation, move
         evaluate_colliders(
             self.blocks, *self.nearby, table, self.is_free, span.dt, self.dx, self.nodes,
-            self.moves, self.whose,
+            self.moves, self.collider_number,
         )  # fmt: skip
 
     def poses(self, time: float) -> np.ndarray | None:
@@ -142,7 +142,7 @@ class MovingColliders:
 
     def travels(self, t0: float, t1: float) -> float:
         """Return the largest travel [cells] of a point of a collider between two times [s]."""
-        travel = self.courses.travels(t0, t1, self.far).max(initial=0.0)
+        travel = self.courses.travels(t0, t1, self.max_radius).max(initial=0.0)
         if self.free is not None:
             travel = max(travel, (t1 - t0) * self.free.speeds().max())
         return float(travel) / self.dx
@@ -153,7 +153,7 @@ class MovingColliders:
 
     def left_safe_range(self, time: float) -> bool:
         """Return True if the blocks near the colliders have to be searched again."""
-        travel = self.courses.travels(self.since, time, self.far).max(initial=0.0)
+        travel = self.courses.travels(self.since, time, self.max_radius).max(initial=0.0)
         if self.free is not None:
             travel = max(travel, self.free.travel.max())
         return float(travel) / self.dx > REBUILD_DISTANCE_CELLS / 2

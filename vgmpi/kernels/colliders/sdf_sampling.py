@@ -52,7 +52,7 @@ def sample_side(movers, m, own, sample):
     """
 
 
-@sample_side.of(SampledSdf)
+@sample_side.register(SampledSdf)
 def _no_side(movers, m, own, sample):
     return 0
 
@@ -69,7 +69,7 @@ def store_side(movers, m, b, node, side):
     """
 
 
-@store_side.of(SampledSdf)
+@store_side.register(SampledSdf)
 def _store_no_side(movers, m, b, node, side):
     pass
 
@@ -291,7 +291,7 @@ def surface_velocity(movers, m, x, sample, dt, own, velocity):
 
 
 @kernel
-def evaluate_colliders(blocks, first, nearby, movers, free, dt, dx, nodes, moves, whose):
+def evaluate_colliders(blocks, first, nearby, movers, free, dt, dx, nodes, moves, collider_number):
     """Compute the nearest collider at the nodes of blocks.
 
     Free bodies get no velocity, and no normal deep inside: they couple by their own velocities.
@@ -308,7 +308,7 @@ def evaluate_colliders(blocks, first, nearby, movers, free, dt, dx, nodes, moves
             (n, 64, 4).
         moves: Mean velocity in the step of the surface point nearest to the node (out), shape
             (n, 64, 3) [m/s].
-        whose: Number of the collider (out), shape (n, 64), or (0, 64) if not wanted.
+        collider_number: Number of the collider (out), shape (n, 64), or (0, 64) if not wanted.
     """
     x, own, sample, velocity = np.zeros(3), np.zeros(3), np.zeros(4), np.zeros(3)
     normal, surface = np.zeros(3), np.zeros(3)
@@ -339,8 +339,8 @@ def evaluate_colliders(blocks, first, nearby, movers, free, dt, dx, nodes, moves
                 d = sample[3]
                 nodes[b, node, 3] = d
                 store_side(movers, m, b, node, side)
-                if len(whose) > 0:
-                    whose[b, node] = m
+                if len(collider_number) > 0:
+                    collider_number[b, node] = m
                 if is_free:
                     continue
                 depth = min(max(d, -2.0 * dx), 2.0 * dx)

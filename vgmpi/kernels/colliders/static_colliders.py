@@ -17,7 +17,7 @@ class StaticColliders:
 
     Attributes:
         nodes: Outward normal and distance [m], shape (n, 64, 4).
-        whose: Number of the nearest collider, shape (n, 64) if requested, else (0, 64).
+        collider_number: Number of the nearest collider, shape (n, 64) if requested, else (0, 64).
     """
 
     def __init__(
@@ -54,23 +54,23 @@ class StaticColliders:
         points = (BLOCK_EDGE * block[is_near][:, None, :] - 1 + inside).reshape(-1, 3) * dx
         self._colliders = colliders
         self.moves = np.zeros((0, 64, 3), real)  # the colliders are at rest
-        nodes, whose = self.surface(points)
+        nodes, collider_number = self.surface(points)
         self.nodes = nodes.astype(real).reshape(-1, 64, 4)
-        self.whose = whose[: len(whose) * numbered].reshape(-1, 64)
+        self.collider_number = collider_number[: len(collider_number) * numbered].reshape(-1, 64)
 
     def surface(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the nearest collider's outward normal and distance [m], and its number.
 
         For points (n, 3) [m] the shapes are (n, 4) and (n,).
         """
-        out, whose = np.full((len(points), 4), np.inf), np.zeros(len(points), np.int64)
+        out, collider_number = np.full((len(points), 4), np.inf), np.zeros(len(points), np.int64)
         for number, collider in enumerate(self._colliders):
             distance = collider.distance(points)
             closer = distance < out[:, 3]
             out[closer, 3] = distance[closer]
             out[closer, :3] = collider.normal(points[closer])
-            whose[closer] = number
-        return out, whose
+            collider_number[closer] = number
+        return out, collider_number
 
     def __call__(self, block: np.ndarray) -> np.ndarray:
         """Return the row of each block (m, 3) among those near a collider, else -1."""

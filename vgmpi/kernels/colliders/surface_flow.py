@@ -128,7 +128,7 @@ def touches_surface(nodes, phases, p, nb, node, n, d, dx):
     """
     mass, is_resolved = float(nodes.velocities[nb, 4 * node + 3]), phases.surface[p]
     side = nodes.offsets[nb, 4 * node : 4 * node + 4]
-    if not (mass > CONTACT_MASS_FLOOR * phases.least[p] and has_surface(side, is_resolved)):
+    if not (mass > CONTACT_MASS_FLOOR * phases.min_cell_mass[p] and has_surface(side, is_resolved)):
         return False
     gap = d / dx + distance(n, -1.0, side, mass, is_resolved, dx)
     return gap <= (GAP_RESOLVED if is_resolved else GAP_UNRESOLVED)

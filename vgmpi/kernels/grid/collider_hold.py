@@ -101,7 +101,7 @@ def _find_collider(pushed, solids, phases, node):
     distance = solids.nodes[pushed.row, node, 3]
     if not distance < NO_CONTACT_DISTANCE * pushed.dx:
         return False
-    if len(solids.free) > 0 and solids.free[solids.whose[pushed.row, node]]:
+    if len(solids.free) > 0 and solids.free[solids.collider_number[pushed.row, node]]:
         return False  # a free body couples after the walls
     for c in range(3):
         n[c] = solids.nodes[pushed.row, node, c]
@@ -117,7 +117,7 @@ def _find_body(pushed, solids, phases, nb, node, nodes):
     mass = nodes[o + 3]
     if not (solids.motions.driven[p] and phases.surface[p]):
         return False
-    if not mass > CONTACT_MASS_FLOOR * phases.least[p]:
+    if not mass > CONTACT_MASS_FLOOR * phases.min_cell_mass[p]:
         return False
     x, y, z = pushed.offsets[o], pushed.offsets[o + 1], pushed.offsets[o + 2]
     size = np.sqrt(x * x + y * y + z * z)
@@ -160,7 +160,9 @@ def give_back_push(pushed, solids, source, node, push, along, nodes, v, reaction
         after, mass = (nodes[v], nodes[v + 1], nodes[v + 2]), nodes[v + 3]
         speed = _speed(pushed, solids, source, node, nodes)
         if source < pushed.of_block:
-            number = solids.whose[pushed.row, node] if len(solids.whose) > 0 else 0
+            number = (
+                solids.collider_number[pushed.row, node] if len(solids.collider_number) > 0 else 0
+            )
             set_collider(reaction, number, pushed.normal)
             add_contact_reaction(reaction, before, after, mass, speed, 0, 0)
         else:

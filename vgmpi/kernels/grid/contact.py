@@ -59,14 +59,16 @@ def apply_contact(block, tables, solid, velocities, offsets, shear, solids, wall
     motions, pushes = solids.motions, block.at_wall and _may_push(walls)
     sync_threads()
     for node in strided_range(64):
-        active = _active(block, node, velocities, tables.phase, phases.least, work.here)
+        active = _active(
+            block, node, velocities, tables.phase, phases.min_cell_mass, work.node_block
+        )
         ijk = block.low_x + node // 16, block.low_y + node // 4 % 4, block.low_z + node % 4
         planes = _planes(ijk, walls) if pushes else 0
         rigid = _is_near_collider(solids, solid, node, step.dx)
         if active == 0 or active + rigid + planes < 2:
             continue
         for q in range(active):
-            nb = work.here[q]
+            nb = work.node_block[q]
             offset, ph = 256 * nb + 4 * node, tables.phase[nb]
             kinds = walls.kinds if phases.liquid[ph] else walls.kinds_for_solids
             project_tangential(offsets, offset, ijk[0], ijk[1], ijk[2], walls.cells, kinds)
@@ -80,12 +82,12 @@ def apply_contact(block, tables, solid, velocities, offsets, shear, solids, wall
                     work.slope[q, c] = shear.nodes[offset + c] / work.mass[q]
             work.pair_count[q] = 0
         site = ContactNode(active, node, active + rigid + planes == 2, solid)
-        set_node(work.given, node, ijk[0], ijk[1], ijk[2])
+        set_node(work.reactions, node, ijk[0], ijk[1], ijk[2])
         pairs = _pairs(site, tables.phase, offsets, phases, rules, motions, step, work)
         if rigid:
             surface = solids.nodes[solid, node]
-            number = solids.whose[solid, node] if len(solids.whose) > 0 else 0
-            set_collider(work.given, number, surface)
+            number = solids.collider_number[solid, node] if len(solids.collider_number) > 0 else 0
+            set_collider(work.reactions, number, surface)
             rows = phases.friction[len(phases.contact_priority) :]
             row = rows[min(number, len(rows) - 1)]  # common to all colliders, or its own
             if len(solids.moves) > 0:
@@ -104,10 +106,10 @@ def apply_contact(block, tables, solid, velocities, offsets, shear, solids, wall
             solve_contact_impulses(work.v, work.effective_mass, active, work.normals,
                                    work.friction, work.fraction, work.master, work.other, pairs,
                                    _max_count(work.pair_count, active), work.impulse)  # fmt: skip
-            add_pair_reactions(work.given, pairs, work)
+            add_pair_reactions(work.reactions, pairs, work)
         for q in range(active):
             for c in range(3):
-                velocities[256 * work.here[q] + 4 * node + c] = work.v[q, c]
+                velocities[256 * work.node_block[q] + 4 * node + c] = work.v[q, c]
     sync_threads()
 
 
@@ -116,7 +118,7 @@ def _is_near_collider(solids, solid, node, dx):
     """Return whether a node is near a collider that is no free body."""
     if solid < 0 or not solids.nodes[solid, node, 3] < SDF_BAND_CELLS * dx:
         return False
-    return len(solids.free) == 0 or not solids.free[solids.whose[solid, node]]
+    return len(solids.free) == 0 or not solids.free[solids.collider_number[solid, node]]
 
 
 @device_function
@@ -191,9 +193,9 @@ def _pairs(site, phase, offsets, phases, rules, motions, step, work):
     """
     pairs = 0
     for q in range(site.active):
-        ph = phase[work.here[q]]
+        ph = phase[work.node_block[q]]
         for r in range(q + 1, site.active):
-            other = phase[work.here[r]]
+            other = phase[work.node_block[r]]
             if rules is not None:
                 if rules.pair[ph, other] != CONTACT:
                     continue
@@ -210,8 +212,11 @@ def _pairs(site, phase, offsets, phases, rules, motions, step, work):
 @always_inline
 def _add_phase_pair(pairs, site, a, b, phase, offsets, phases, motions, step, work):
     """Apply the contact of two phases, or store it as a pair."""
-    pa, pb = phase[work.here[a]], phase[work.here[b]]
-    xa, xb = _side(offsets, work.here[a], site.node), _side(offsets, work.here[b], site.node)
+    pa, pb = phase[work.node_block[a]], phase[work.node_block[b]]
+    xa, xb = (
+        _side(offsets, work.node_block[a], site.node),
+        _side(offsets, work.node_block[b], site.node),
+    )
     ka, kb = phases.surface[pa], phases.surface[pb]
     if not (has_surface(xa, ka) and has_surface(xb, kb)):
         return pairs
@@ -230,8 +235,8 @@ def _add_phase_pair(pairs, site, a, b, phase, offsets, phases, motions, step, wo
         is_reliable = normal_is_reliable(xb, mb)
     if is_reliable:
         area_fraction = min(
-            face_fraction(ma, phases.least[pa], distance_a),
-            face_fraction(mb, phases.least[pb], distance_b),
+            face_fraction(ma, phases.min_cell_mass[pa], distance_a),
+            face_fraction(mb, phases.min_cell_mass[pb], distance_b),
         )
         modulus = phases.stiff[pa] * phases.stiff[pb] / (phases.stiff[pa] + phases.stiff[pb])
     friction = phases.friction[pa, pb]
@@ -243,9 +248,9 @@ def _add_phase_pair(pairs, site, a, b, phase, offsets, phases, motions, step, wo
     change, first_pair = work.change[target], pairs
     before = change[0], change[1], change[2]
     pairs = _activate_pair(pairs, site, meeting, n, step, work)
-    row = motions.row[phase[work.here[source]]] if len(motions.row) > 0 else -1
+    row = motions.row[phase[work.node_block[source]]] if len(motions.row) > 0 else -1
     add_prescribed_reaction(
-        work.given, row, before, change, work.mass[target], work.v[source], first_pair, pairs
+        work.reactions, row, before, change, work.mass[target], work.v[source], first_pair, pairs
     )
     return pairs
 
@@ -260,12 +265,12 @@ def _add_rigid_pairs(
     for a wall, which meets only phases whose surfaces it pushes.
     """
     for q in range(site.active):
-        ph, mine = phase[work.here[q]], _side(offsets, work.here[q], site.node)
+        ph, mine = phase[work.node_block[q]], _side(offsets, work.node_block[q], site.node)
         is_resolved, mass, n = phases.surface[ph], work.mass[q], work.normals[pairs]
         if not ((a == COLLIDER_ROW or phases.at_walls[ph]) and has_surface(mine, is_resolved)):
             continue
         if _driven(motions, ph) or (
-            a == COLLIDER_ROW and _is_reserved(motions, work.here[q], site)
+            a == COLLIDER_ROW and _is_reserved(motions, work.node_block[q], site)
         ):
             continue
         for c in range(3):
@@ -275,7 +280,9 @@ def _add_rigid_pairs(
             depth = face_of_phase(phases, ph, site.solid, site.node, step.dx, n, depth)
         distance_b = distance(n, -1.0, mine, mass, is_resolved, step.dx)
         is_reliable = is_resolved and normal_is_reliable(mine, mass)
-        area_fraction = face_fraction(mass, phases.least[ph], distance_b) if is_reliable else 0.0
+        area_fraction = (
+            face_fraction(mass, phases.min_cell_mass[ph], distance_b) if is_reliable else 0.0
+        )
         distance_a = depth / step.dx
         meeting = ContactPair(
             a, q, distance_a, distance_b, is_resolved, True, is_reliable, area_fraction,
@@ -284,7 +291,7 @@ def _add_rigid_pairs(
         change, first_pair = work.change[q], pairs
         before = change[0], change[1], change[2]
         pairs = _activate_pair(pairs, site, meeting, n, step, work)
-        add_contact_reaction(work.given, before, change, mass, work.v[a], first_pair, pairs)
+        add_contact_reaction(work.reactions, before, change, mass, work.v[a], first_pair, pairs)
     return pairs
 
 
@@ -363,7 +370,7 @@ def _add_wall_pairs(pairs, site, phase, offsets, ijk, walls, phases, motions, st
             surface[0] = surface[1] = surface[2] = 0.0
             surface[a] = inward
             surface[3] = inward * (ijk[a] - side * walls.cells[a]) * step.dx
-            set_wall(work.given, a, side, surface)
+            set_wall(work.reactions, a, side, surface)
             for k in range(len(row)):
                 row[k] = walls.friction[a, side]
             pairs = _add_rigid_pairs(

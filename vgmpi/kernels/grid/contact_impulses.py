@@ -178,8 +178,8 @@ class ContactPair(NamedTuple):
 
     a: int  # phase at the node, or WALL_ROW or COLLIDER_ROW
     b: int  # phase at the node
-    one: float  # [cells] distance of the node outside a
-    other: float  # [cells] distance of the node outside b
+    distance_a: float  # [cells] distance of the node outside a
+    distance_b: float  # [cells] distance of the node outside b
     both_resolved: bool  # whether both surfaces are resolved
     one_resolved: bool  # whether that of a is resolved
     normals_reliable: (
@@ -207,7 +207,7 @@ def faces_wall(n, side):
 @device_function
 def in_contact(m):
     """Return whether the surfaces of a contact pair are too close to approach further."""
-    gap = m.one + m.other
+    gap = m.distance_a + m.distance_b
     if m.both_resolved:
         if m.normals_reliable:
             nearest, half_width = -LAYER_MAX_OVERLAP, OVERLAP_HALF_WIDTH
@@ -215,7 +215,7 @@ def in_contact(m):
             nearest, half_width = GAP_RESOLVED, LAYER_HALF_WIDTH
             if m.faces_wall and gap <= -WALL_OVERLAP_ROUND:
                 half_width = OVERLAP_HALF_WIDTH
-        return gap <= nearest and abs(m.one - m.other) <= 2.0 * half_width
+        return gap <= nearest and abs(m.distance_a - m.distance_b) <= 2.0 * half_width
     return gap <= (-MAX_OVERLAP_FLUID if m.normals_reliable else GAP_UNRESOLVED)
 
 
@@ -229,7 +229,7 @@ def contact_fraction(m):
     if m.both_resolved or not m.one_resolved:
         return 1.0
     width = NO_CONTACT_DISTANCE - FULL_CONTACT_DISTANCE
-    return min(max((NO_CONTACT_DISTANCE - m.one) / width, 0.0), 1.0)
+    return min(max((NO_CONTACT_DISTANCE - m.distance_a) / width, 0.0), 1.0)
 
 
 @device_function
@@ -283,8 +283,8 @@ def apply_penalty_layer(change, v, slope, mass, m, n, dt, dx):
     """
     offset = LAYER_OFFSET if m.both_resolved else -LAYER_GAP_FLUID
     overlap, asymmetry = (
-        min(-m.one - m.other - offset, LAYER_MAX_OVERLAP),
-        0.5 * abs(m.one - m.other),
+        min(-m.distance_a - m.distance_b - offset, LAYER_MAX_OVERLAP),
+        0.5 * abs(m.distance_a - m.distance_b),
     )
     if not (overlap > 0.0 and asymmetry < 1.0):
         return
@@ -296,11 +296,15 @@ def apply_penalty_layer(change, v, slope, mass, m, n, dt, dx):
     push = dt * LAYER_STIFFNESS * m.stiff * overlap * m.share * (1.0 - asymmetry) * dx * dx
     push = min(push, reduced * (max(rn, 0.0) + 0.5 * overlap * dx / dt))
     r0, r1, r2 = (
-        r0 + m.other * slope[m.b, 0], r1 + m.other * slope[m.b, 1], r2 + m.other * slope[m.b, 2],
+        r0 + m.distance_b * slope[m.b, 0],
+        r1 + m.distance_b * slope[m.b, 1],
+        r2 + m.distance_b * slope[m.b, 2],
     )  # fmt: skip
     if m.a >= 0:
         r0, r1, r2 = (
-            r0 - m.one * slope[m.a, 0], r1 - m.one * slope[m.a, 1], r2 - m.one * slope[m.a, 2],
+            r0 - m.distance_a * slope[m.a, 0],
+            r1 - m.distance_a * slope[m.a, 1],
+            r2 - m.distance_a * slope[m.a, 2],
         )  # fmt: skip
     rn = r0 * n[0] + r1 * n[1] + r2 * n[2]
     r0, r1, r2 = r0 - rn * n[0], r1 - rn * n[1], r2 - rn * n[2]
@@ -410,7 +414,7 @@ class ContactWorkspace(NamedTuple):
     v: np.ndarray  # (n + 2, 3) [m/s] velocities, the last two of the collider and of walls
     mass: np.ndarray  # (n,) [kg]
     effective_mass: np.ndarray  # (n,) [kg] effective mass, huge for phases with prescribed motion
-    here: np.ndarray  # (n,) node block of each phase at the node
+    node_block: np.ndarray  # (n,) node block of each phase at the node
     slope: np.ndarray  # (n, 3) [m/s per cell] velocity slope along a resolved surface's normal
     change: np.ndarray  # (n, 3) [m/s] velocity increments by elastic layers
     normals: np.ndarray  # (m, 10) normal, and scratch of the solver
@@ -422,7 +426,7 @@ class ContactWorkspace(NamedTuple):
     pair_count: np.ndarray  # (n,) number of pairs of each phase
     plane: np.ndarray  # (4,) normal of a wall, and distance of the node from it [m]
     row: np.ndarray  # (n,) [-] friction of a wall
-    given: ReactionSums | None = None  # reaction sums, if requested
+    reactions: ReactionSums | None = None  # reaction sums, if requested
 
 
 def contact_workspace(n: int) -> ContactWorkspace:
@@ -430,7 +434,7 @@ def contact_workspace(n: int) -> ContactWorkspace:
     m = n * (n + 1) // 2 + 3 * n
     return ContactWorkspace(
         v=np.zeros((n + 2, 3)), slope=np.zeros((n, 3)), change=np.zeros((n, 3)), mass=np.zeros(n),
-        effective_mass=np.zeros(n), here=np.zeros(n, np.int64),
+        effective_mass=np.zeros(n), node_block=np.zeros(n, np.int64),
         normals=np.zeros((m, 10)), impulse=np.zeros((m, 4)), friction=np.zeros(m),
         fraction=np.zeros(m),
         master=np.zeros(m, np.int64), other=np.zeros(m, np.int64), pair_count=np.zeros(n, np.int64),

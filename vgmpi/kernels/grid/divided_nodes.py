@@ -16,7 +16,7 @@ from vgmpi.kernels.simd.static_dispatch import static_dispatch
 class Phases(NamedTuple):
     """Constants of the phases that the grid update needs."""
 
-    least: np.ndarray  # (phases,) [kg] mass of a cell full of its lightest material
+    min_cell_mass: np.ndarray  # (phases,) [kg] mass of a cell full of its lightest material
     contact_priority: np.ndarray  # (phases,) priority of its surface for the normal: lowest first
     friction: np.ndarray  # (phases + 1, phases) [-] Coulomb coefficients, last row: colliders
     stiff: np.ndarray  # (phases,) [Pa] wave modulus of its stiffest law at rest
@@ -41,7 +41,7 @@ def unite_phases(phases, block, solid, phase_of, nodes, offsets, dx):
     """
 
 
-@unite_phases.of(Phases)
+@unite_phases.register(Phases)
 def _no_union(phases, block, solid, phase_of, nodes, offsets, dx):
     pass
 
@@ -58,7 +58,7 @@ def part_phases(phases, block, phase_of, nodes):
     """
 
 
-@part_phases.of(Phases)
+@part_phases.register(Phases)
 def _no_parting(phases, block, phase_of, nodes):
     pass
 
@@ -77,7 +77,7 @@ def average_phases(phases, n0, n1, solid, phase_of, nodes, dx):
     """
 
 
-@average_phases.of(Phases)
+@average_phases.register(Phases)
 def _no_average(phases, n0, n1, solid, phase_of, nodes, dx):
     pass
 
@@ -95,7 +95,7 @@ def are_apart(phases, p, q, solid, node, dx):
     """
 
 
-@are_apart.of(Phases)
+@are_apart.register(Phases)
 def _never_apart(phases, p, q, solid, node, dx):
     return False
 
@@ -117,7 +117,7 @@ def face_of_phase(phases, p, solid, node, dx, normal, distance):
     """
 
 
-@face_of_phase.of(Phases)
+@face_of_phase.register(Phases)
 def _closest_face(phases, p, solid, node, dx, normal, distance):
     return distance
 
@@ -134,7 +134,7 @@ def distance_of_phase(phases, p, solid, node):
     """
 
 
-@distance_of_phase.of(Phases)
+@distance_of_phase.register(Phases)
 def _no_distance(phases, p, solid, node):
     return np.inf
 
@@ -151,7 +151,7 @@ def is_divided(phases, solid, node, dx):
     """
 
 
-@is_divided.of(Phases)
+@is_divided.register(Phases)
 def _is_never_divided(phases, solid, node, dx):
     return False
 
@@ -161,6 +161,6 @@ def half_of(phases, p):
     """Return the half of divided nodes in which a phase is: 1 or -1 (back), 0 in both."""
 
 
-@half_of.of(Phases)
+@half_of.register(Phases)
 def _no_half(phases, p):
     return 0

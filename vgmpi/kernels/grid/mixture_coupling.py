@@ -32,7 +32,7 @@ class BlockContext(NamedTuple):
 
     n0: int
     n1: int
-    meets: bool  # whether phases may touch here, so that offsets exist
+    may_touch: bool  # whether phases may touch here, so that offsets exist
     at_wall: bool  # whether some of its nodes are on or beyond a wall
     low_x: int
     low_y: int
@@ -43,11 +43,11 @@ class NodalFields(NamedTuple):
     """Nodal arrays of node blocks, as pointers to their data (vector16.pointer)."""
 
     phase: np.ndarray  # (node blocks,) phase of each
-    least: np.ndarray  # (phases,) [kg] mass of a full cell
+    min_cell_mass: np.ndarray  # (phases,) [kg] mass of a full cell
     cells: np.ndarray  # (3,) cells of the domain
     grid: np.ndarray  # (256 node blocks,) velocity [m/s] and mass [kg]
     forces: np.ndarray  # same shape: separate impulses [kg m/s] and volume [m3]
-    offsets: np.ndarray  # same shape: offsets [m4] and volume [m3], if the block `meets`
+    offsets: np.ndarray  # same shape: offsets [m4] and volume [m3], if the block's phases may touch
     flux: np.ndarray  # same shape: volume flux [m/s] and fluid fraction, which particles gather
     drift: np.ndarray  # same shape: drifts [m/s]
     change: np.ndarray  # same shape: change of velocity [m/s]
@@ -82,12 +82,12 @@ def couple_block(block, fields, work, rules, dt, dx):
             fluid, grains, share = volumes(count, c, forces, work)
             for g in range(rules.mixing_group_count):
                 if rules.printed_mix[g] > 0.0:
-                    D = rules.diffusion[g] if block.meets else 0.0
+                    D = rules.diffusion[g] if block.may_touch else 0.0
                     _relax_slip(g, count, c, shared, fields, work, D, 0.0, -1.0, dt, dx, 0)
             _pressure(count, c, shared, grid, forces, fluid, grains, share, work)
             for g in range(rules.mixing_group_count):
                 if rules.printed_mix[g] == 0.0:
-                    D = rules.diffusion[g] if block.meets else 0.0
+                    D = rules.diffusion[g] if block.may_touch else 0.0
                     slip_factor = 1.0 / (1.0 + dt / rules.slip_relaxation_time[g])
                     _relax_slip(
                         g, count, c, shared, fields, work, D, slip_factor, 1.0, dt, dx, rules.drifts
@@ -154,7 +154,7 @@ def load_masses(count, c, fields, work):
     for q in range(count):
         nb = work.block[q]
         m = fourth_of(load(fields.grid, 256 * nb + c))
-        tiny = broadcast(work.M, NODE_MASS_FLOOR * fields.least[fields.phase[nb]])
+        tiny = broadcast(work.M, NODE_MASS_FLOOR * fields.min_cell_mass[fields.phase[nb]])
         m = select(m > tiny, m, 0.0)
         store(work.M, ROW * q, m)
         phase_count = phase_count + select(m > 0.0, 1.0, 0.0 * m)
@@ -414,7 +414,7 @@ def _store_filled_fraction(block, fields, work, rules, dx):
         p = fields.phase[nb]
         if rules.mixture_set[p] < 0 or rules.fluid[p] == 0:
             continue
-        per_mass = broadcast(work.V, 1.0 / fields.least[p])
+        per_mass = broadcast(work.V, 1.0 / fields.min_cell_mass[p])
         for c in range(0, 256, ROW):
             row = load(fields.grid, 256 * nb + c)
             own = per_mass * fourth_of(row)
@@ -440,7 +440,7 @@ def _filled_fraction(count, q, row, all_volume, fields, work, dx):
         dx: Cell size [m].
     """
     phase = fields.phase[work.block[q]]
-    volume_per_mass = dx * dx * dx / fields.least[phase]
+    volume_per_mass = dx * dx * dx / fields.min_cell_mass[phase]
     space = load(work.V, ROW * count)
     own = np.minimum(broadcast(work.V, volume_per_mass) * fourth_of(row), space)
     return np.maximum(all_volume, own) / space

@@ -37,7 +37,7 @@ class RigidBoundaries(NamedTuple):
 
     nodes: np.ndarray  # (n, 64, 4) outward normal and distance [m] of the nearest collider
     moves: np.ndarray  # (n, 64, 3) [m/s] its velocity; (0, 64, 3) if all are at rest
-    whose: np.ndarray  # (n, 64) its number; (0, 64) if all have the same friction
+    collider_number: np.ndarray  # (n, 64) its number; (0, 64) if all have the same friction
     motions: PrescribedSteps  # prescribed motion by phase, empty if there is none
     free: np.ndarray  # (colliders,) bool: a free body, which couples after all others; or empty
 
@@ -57,8 +57,8 @@ class SeparatedStress(NamedTuple):
     flux: np.ndarray  # volume flux [m/s]
     drift: np.ndarray  # drift velocity [m/s]
     change: np.ndarray  # change of velocity [m/s]
-    noted: int  # whether the change is needed (FLIP)
-    room: tuple  # MixtureWorkspace, scratch of the calling thread
+    needs_change: int  # whether the change is needed (FLIP)
+    workspace: tuple  # MixtureWorkspace, scratch of the calling thread
     tables: tuple  # MixtureTables
 
 
@@ -75,31 +75,35 @@ def update(blocks, tables, summed, shear, stress, rules, walls, phases, solids, 
     """
     momentum, offsets = summed.momentum, summed.offsets
     rows, momentum_sums, moments = blocks_at(tables), sums_at(momentum), sums_at(offsets)
-    nodes, last, cell_mass = momentum_sums.nodes, pointer(walls.cells), pointer(phases.least)
+    nodes, last, cell_mass = (
+        momentum_sums.nodes,
+        pointer(walls.cells),
+        pointer(phases.min_cell_mass),
+    )
     shears = None if shear is None else sums_at(shear)
     if stress is not None:
         impulse_sums = sums_at(stress.impulses)
         fields = _fields(rows, cell_mass, last, nodes, impulse_sums.nodes, moments.nodes, stress)
         if rules is not None:
-            work, pairs = to_pointers(stress.room, stress.tables)
+            work, pairs = to_pointers(stress.workspace, stress.tables)
     first, phase_of = pointer(tables.first), rows.phase
     push = tile(step.gravity_increment, 0)
     for b in blocks:
         n0, n1, has_impulses = first[b], first[b + 1], False
-        set_block(scratch.given, b)
+        set_block(scratch.reactions, b)
         for nb in range(n0, n1):
             finalize_node_block(nb, rows, momentum_sums, report, 0)
             finalize_node_block(nb, rows, moments, report, 1)
             if stress is not None:
                 finalize_node_block(nb, rows, impulse_sums, report, 2)
-                has_impulses |= impulse_sums.asked[nb] != 0
+                has_impulses |= impulse_sums.has_terms[nb] != 0
             if shear is not None:
                 finalize_node_block(nb, rows, shears, report, 2 if stress is None else 3)
             momentum_to_velocity(nb, nodes, push, NODE_MASS_FLOOR * cell_mass[phase_of[nb]])
         block = _context(b, n0, n1, tables, last)
         set_prescribed_velocity(block, nodes, phase_of, solids.motions, step.dx)
         if stress is not None:
-            noted = has_impulses and stress.noted
+            noted = has_impulses and stress.needs_change
             if noted:
                 _store_velocity_before(block, fields, push)
             if has_impulses and rules is None:
@@ -108,11 +112,13 @@ def update(blocks, tables, summed, shear, stress, rules, walls, phases, solids, 
                 if noted:
                     _add_stress_impulse_unshared(block, fields, pairs)
                 if has_impulses:
-                    if block.at_wall and block.meets:
+                    if block.at_wall and block.may_touch:
                         _project_offsets(moments.nodes, block, walls, phases, phase_of)
                     couple_block(block, fields, work, pairs, step.dt, step.dx)
         unite_phases(phases, block, tables.solid[b], phase_of, nodes, moments.nodes, step.dx)
-        touches = block.meets and _may_touch(block, tables.solid[b], phase_of, solids, rules, step)
+        touches = block.may_touch and _may_touch(
+            block, tables.solid[b], phase_of, solids, rules, step
+        )
         if CONTACT_ENABLED and touches:
             apply_contact(block, tables, tables.solid[b], nodes, moments.nodes, shears, solids,
                           walls, phases, rules, step, scratch)  # fmt: skip
@@ -157,7 +163,7 @@ def _stop_at_walls(block, solid, velocities, offsets, walls, phase, phases, soli
             kinds = walls.kinds_for_surfaces
         pushed = pushed_phase(block, solid, nb, phase, phases, solids, offsets, dx, work.plane)
         apply_wall_conditions(
-            velocities, 256 * nb, low, walls.cells, kinds, walls.friction, work.given, pushed,
+            velocities, 256 * nb, low, walls.cells, kinds, walls.friction, work.reactions, pushed,
             solids, phases,
         )  # fmt: skip
     part_phases(phases, block, phase, velocities)
@@ -215,7 +221,7 @@ def _store_velocity_before(block, fields, push):
     Nodes without mass are at rest before and after.
     """
     for nb in range(block.n0, block.n1):
-        tiny = broadcast(fields.grid, NODE_MASS_FLOOR * fields.least[fields.phase[nb]])
+        tiny = broadcast(fields.grid, NODE_MASS_FLOOR * fields.min_cell_mass[fields.phase[nb]])
         for c in range(256 * nb, 256 * (nb + 1), 16):
             row = load(fields.grid, c)
             store(fields.change, c, select(fourth_of(row) > tiny, row - push, row))
@@ -231,7 +237,7 @@ def _add_stress_impulse(block, fields):
 @device_function
 def _add_impulse_of_node_block(nb, fields):
     """Add the separate stress impulses to the velocities of one node block."""
-    tiny = broadcast(fields.grid, NODE_MASS_FLOOR * fields.least[fields.phase[nb]])
+    tiny = broadcast(fields.grid, NODE_MASS_FLOOR * fields.min_cell_mass[fields.phase[nb]])
     for c in range(256 * nb, 256 * (nb + 1), 16):
         row = load(fields.grid, c)
         m = fourth_of(row)
@@ -270,8 +276,12 @@ def _project_offsets(offsets, block, walls, phases, phase_of):
 @device_function
 def _context(b, n0, n1, tables, last):
     """Return the context of block b; last: cells of the domain."""
-    low = 4 * tables.at[b, 0] - 1, 4 * tables.at[b, 1] - 1, 4 * tables.at[b, 2] - 1
-    return BlockContext(n0, n1, tables.meets[b], _at_wall(low, last), low[0], low[1], low[2])
+    low = (
+        4 * tables.coordinates[b, 0] - 1,
+        4 * tables.coordinates[b, 1] - 1,
+        4 * tables.coordinates[b, 2] - 1,
+    )
+    return BlockContext(n0, n1, tables.may_touch[b], _at_wall(low, last), low[0], low[1], low[2])
 
 
 @device_function

@@ -55,7 +55,7 @@ def pressure_impulse(law, p, cap, f, L, scale):
     return scale * volume * (t00 + t11 + t22), volume
 
 
-@particle_contribution.of(MeanPressure)
+@particle_contribution.register(MeanPressure)
 def _mean_pressure(kind, law, count, offset, cap, f, extra, peak, records, dt):
     o = broadcast(f, 0.0)
     scale = broadcast(f, dt) * -1.0 / (3.0 * kind.dx)
@@ -66,7 +66,7 @@ def _mean_pressure(kind, law, count, offset, cap, f, extra, peak, records, dt):
         store_records(records, 16 * n, (pressure, o, o, volume, o, o, o, o, o, o, o, o, o, o, o, o))
 
 
-accumulate.of(MeanPressure)(by_weights)
+accumulate.register(MeanPressure)(by_weights)
 
 
 class BodyFields(NamedTuple):
@@ -82,7 +82,7 @@ def kind(plan, group) -> BodyFields:
     return BodyFields(*(plan.real.type(v) for v in (MIRROR_NONE, plan.dx, group.density)))
 
 
-@particle_contribution.of(BodyFields)
+@particle_contribution.register(BodyFields)
 def _body_fields(kind, law, count, offset, cap, f, extra, peak, records, dt):
     o = broadcast(f, 0.0)
     scale = broadcast(f, dt) * -1.0 / (3.0 * kind.dx)

@@ -70,7 +70,7 @@ def accumulator_range(plan, span: np.ndarray) -> np.ndarray:
     return np.stack([product, product, product, np.full_like(product, volume)], 1)
 
 
-@particle_contribution.of(ValuesByVolume)
+@particle_contribution.register(ValuesByVolume)
 def _values_by_volume(kind, law, count, offset, cap, f, extra, peak, records, dt):
     zero = broadcast(f, 0.0)
     current_volumes(law, count, offset, cap, f, extra)
@@ -88,7 +88,7 @@ def _values_by_volume(kind, law, count, offset, cap, f, extra, peak, records, dt
         )  # fmt: skip
 
 
-accumulate.of(ValuesByVolume)(by_weights)
+accumulate.register(ValuesByVolume)(by_weights)
 
 
 @borrowing_kernel
@@ -162,7 +162,7 @@ def gather_values(rows, channel, segments, particles, nodes, scratch):
     start, count, table = segments.start, segments.count, segments.table
     weights, records, patch, _ = split_scratch(scratch.real)
     patch[PATCH:] = 0
-    base, box = scratch.whole, box_of(scratch.whole)
+    base, box = scratch.integers, box_of(scratch.integers)
     for s in rows:
         node_range(count[s], start[s], cap, xi, f, box)
         load_patch(patch, nodes, table[s], box)

@@ -73,12 +73,12 @@ def stress_by_moments(kind, t00, t11, t22):
     """
 
 
-@stress_by_moments.of(Momentum)
+@stress_by_moments.register(Momentum)
 def _(kind, t00, t11, t22):
     return t00, t11, t22
 
 
-@stress_by_moments.of(MomentumWithoutPressure)
+@stress_by_moments.register(MomentumWithoutPressure)
 def _(kind, t00, t11, t22):
     mean = (t00 + t11 + t22) * (1.0 / 3.0)
     return t00 - mean, t11 - mean, t22 - mean
@@ -90,13 +90,13 @@ def accumulator_range(plan, speed: float) -> np.ndarray:
     They are the momentum of a full cell of a phase's densest material at a speed [m/s], a power of
     two, and its mass.
     """
-    mass = next_power_of_two([phase.most for phase in plan.phases])
+    mass = next_power_of_two([phase.max_cell_mass for phase in plan.phases])
     fast = mass * speed
     return np.stack([fast, fast, fast, mass], 1)
 
 
-@particle_contribution.of(Momentum)
-@particle_contribution.of(MomentumWithoutPressure)
+@particle_contribution.register(Momentum)
+@particle_contribution.register(MomentumWithoutPressure)
 def _momentum(kind, law, count, offset, cap, f, extra, peak, records, dt):
     zero = broadcast(f, 0.0)
     dx = kind.dx
@@ -128,7 +128,7 @@ def _momentum(kind, law, count, offset, cap, f, extra, peak, records, dt):
     store(peak, 0, stress_peak)
 
 
-@particle_contribution.of(MomentumWithoutStress)
+@particle_contribution.register(MomentumWithoutStress)
 def _inertia(kind, law, count, offset, cap, f, extra, peak, records, dt):
     zero = broadcast(f, 0.0)
     for n in range(0, count, 16):
@@ -148,9 +148,9 @@ def _inertia(kind, law, count, offset, cap, f, extra, peak, records, dt):
         )  # fmt: skip
 
 
-@accumulate.of(Momentum)
-@accumulate.of(MomentumWithoutPressure)
-@accumulate.of(MomentumWithoutStress)
+@accumulate.register(Momentum)
+@accumulate.register(MomentumWithoutPressure)
+@accumulate.register(MomentumWithoutStress)
 def by_slopes(kind, count, records, weights, base, patch):
     """Add records to a patch, by weights or along the gradients of the B-splines.
 

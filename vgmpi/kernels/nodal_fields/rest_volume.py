@@ -33,7 +33,7 @@ def accumulator_range(plan) -> np.ndarray:
     return np.full((len(plan.phases), 4), next_power_of_two(plan.dx**3))
 
 
-@particle_contribution.of(RestVolume)
+@particle_contribution.register(RestVolume)
 def _rest_volume(kind, law, count, offset, cap, f, extra, peak, records, dt):
     zero = broadcast(f, 0.0)
     for n in range(0, count, 16):
@@ -48,4 +48,4 @@ def _rest_volume(kind, law, count, offset, cap, f, extra, peak, records, dt):
         )  # fmt: skip
 
 
-accumulate.of(RestVolume)(by_weights)
+accumulate.register(RestVolume)(by_weights)

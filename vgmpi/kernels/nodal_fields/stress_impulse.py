@@ -50,7 +50,7 @@ def accumulator_range(plan, speed: float) -> np.ndarray:
     return out
 
 
-@particle_contribution.of(Impulses)
+@particle_contribution.register(Impulses)
 def _impulses(kind, law, count, offset, cap, f, extra, peak, records, dt):
     porosity = np.int64(kind.porosity)
     zero = broadcast(f, 0.0)
@@ -82,4 +82,4 @@ def _impulses(kind, law, count, offset, cap, f, extra, peak, records, dt):
     store(peak, 0, stress_peak)
 
 
-accumulate.of(Impulses)(momentum.by_slopes)
+accumulate.register(Impulses)(momentum.by_slopes)

@@ -62,7 +62,7 @@ def kind(plan, group) -> Offsets | CurrentVolumeMoments | SurfaceDistance:
         gradient = group.channels.first("F" if group.tracks_deformation else "H")
         numbers = plan.dx, group.density, gradient, group.channels.first("surface")
         return SurfaceDistance(real(MIRROR_MOMENT), *(real(v) for v in numbers))
-    contribution = CurrentVolumeMoments if group.apart else Offsets
+    contribution = CurrentVolumeMoments if group.separates_stress else Offsets
     return contribution(*(real(v) for v in (MIRROR_MOMENT, group.share, plan.dx)))
 
 
@@ -77,7 +77,7 @@ def accumulator_range(plan) -> np.ndarray:
     for row, phase in zip(out, plan.phases, strict=True):
         if phase.surface:
             mass, depth_moment = next_power_of_two(
-                [phase.most, phase.most * MAX_DEPTH_CELLS * plan.dx]
+                [phase.max_cell_mass, phase.max_cell_mass * MAX_DEPTH_CELLS * plan.dx]
             )
             row[:] = mass, mass, mass, depth_moment
     return out
@@ -109,18 +109,18 @@ def _offsets(kind, count, volumes, first, records):
         store(records, 16 * n, volumes[first + n] * pattern)
 
 
-@particle_contribution.of(Offsets)
+@particle_contribution.register(Offsets)
 def _rest(kind, law, count, offset, cap, f, extra, peak, records, dt):
     _offsets(kind, count, f, offset + VOLUME * cap, records)
 
 
-@particle_contribution.of(CurrentVolumeMoments)
+@particle_contribution.register(CurrentVolumeMoments)
 def _present(kind, law, count, offset, cap, f, extra, peak, records, dt):
     current_volumes(law, count, offset, cap, f, extra)
     _offsets(kind, count, extra, 0, records)
 
 
-@particle_contribution.of(SurfaceDistance)
+@particle_contribution.register(SurfaceDistance)
 def _surface(kind, law, count, offset, cap, f, extra, peak, records, dt):
     max_depth = MAX_DEPTH_CELLS * kind.dx
     for n in range(0, count, 16):
@@ -161,4 +161,4 @@ def _surface(kind, law, count, offset, cap, f, extra, peak, records, dt):
 
 
 for _kind in (Offsets, CurrentVolumeMoments, SurfaceDistance):
-    accumulate.of(_kind)(by_weights)
+    accumulate.register(_kind)(by_weights)

@@ -41,7 +41,7 @@ def kind(plan, group, axis: int) -> VelocityGradient:
     return VelocityGradient(*(plan.real.type(v) for v in numbers))
 
 
-@particle_contribution.of(VelocityGradient)
+@particle_contribution.register(VelocityGradient)
 def _gradient(kind, law, count, offset, cap, f, extra, peak, records, dt):
     o = broadcast(f, 0.0)
     first = AFFINE + np.int64(kind.axis)
@@ -55,7 +55,7 @@ def _gradient(kind, law, count, offset, cap, f, extra, peak, records, dt):
         store_records(records, 16 * n, (a, b, c, mass, o, o, o, o, o, o, o, o, o, o, o, o))
 
 
-accumulate.of(VelocityGradient)(by_weights)
+accumulate.register(VelocityGradient)(by_weights)
 
 
 class Shear(NamedTuple):
@@ -90,7 +90,7 @@ def _normal(kind, p, cap, f):
     return k * a, k * b, k * e
 
 
-@particle_contribution.of(Shear)
+@particle_contribution.register(Shear)
 def _shear(kind, law, count, offset, cap, f, extra, peak, records, dt):
     o = broadcast(f, 0.0)
     for n in range(0, count, 16):
@@ -104,4 +104,4 @@ def _shear(kind, law, count, offset, cap, f, extra, peak, records, dt):
         store_records(records, 16 * n, (a, b, e, o, o, o, o, o, o, o, o, o, o, o, o, o))
 
 
-accumulate.of(Shear)(by_weights)
+accumulate.register(Shear)(by_weights)

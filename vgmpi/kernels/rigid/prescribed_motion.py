@@ -75,7 +75,7 @@ class PrescribedBodies:
         self.phases = [p for p, _ in moving]
         courses = [body.course for body in plans if body.course is not None]
         self.courses = Trajectories(courses) if courses else None
-        self.far = np.array([body.far for _, body in moving])
+        self.max_radius = np.array([body.max_radius for _, body in moving])
         self.ends = np.array([body.ends for _, body in moving])  # [s] end of the prescribed motion
 
     def row_of_group(self, group: int, phase: int) -> int:
@@ -106,5 +106,5 @@ class PrescribedBodies:
         """Return the largest travel [cells] of a prescribed particle between two times [s]."""
         if self.courses is None:
             return 0.0
-        travel = self.courses.travels(t0, t1, self.far)
+        travel = self.courses.travels(t0, t1, self.max_radius)
         return float(np.where(self.ends > t0, travel, 0.0).max()) / self.dx

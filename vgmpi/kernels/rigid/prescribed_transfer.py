@@ -66,17 +66,17 @@ def advect_prescribed(
     for s in rows:
         for n in strided_range(segments.count[s]):
             p = segments.start[s] + n
-            x = _lever_arm(0, p, xi, block[s], motion.one, dx, about)
-            y = _lever_arm(1, p, xi, block[s], motion.one, dx, about)
-            z = _lever_arm(2, p, xi, block[s], motion.one, dx, about)
+            x = _lever_arm(0, p, xi, block[s], motion.units_per_cell, dx, about)
+            y = _lever_arm(1, p, xi, block[s], motion.units_per_cell, dx, about)
+            z = _lever_arm(2, p, xi, block[s], motion.units_per_cell, dx, about)
             inside = True
             for a in range(3):
                 v = turn[a, 0] * x + turn[a, 1] * y + turn[a, 2] * z
                 v += motions.shift[phase, a]
                 f[a, p] = v
                 displacement = v * dt / dx
-                xi[a, p] += int(np.floor(displacement * motion.one + dither[a]))
-                position = float(xi[a, p]) / motion.one
+                xi[a, p] += int(np.floor(displacement * motion.units_per_cell + dither[a]))
+                position = float(xi[a, p]) / motion.units_per_cell
                 inside &= segments.limit[s, a, 0] < position < segments.limit[s, a, 1]
                 max_distance, max_step = (
                     max(max_distance, abs(position)),

@@ -42,7 +42,9 @@ def _power_of_two(builder, lanes, k):
     bias, width = (127, 23) if lanes.real.bitwidth == 32 else (1023, 52)
     # Added to 1.5 2^width, an integer has its value in the lowest bits; the conversion of NaN to an
     # integer would be undefined.
-    integer = builder.bitcast(builder.fadd(k, lanes.constant(1.5 * 2.0**width)), lanes.whole)
+    integer = builder.bitcast(
+        builder.fadd(k, lanes.constant(1.5 * 2.0**width)), lanes.integer_vector
+    )
     integer = builder.add(integer, lanes.integer(bias))
     return builder.bitcast(builder.shl(integer, lanes.integer(width)), lanes.vector)
 
@@ -88,7 +90,7 @@ def _split(builder, lanes, u):
     """
     single = lanes.real.bitwidth == 32
     width, half = (23, 0x3F3504F3) if single else (52, 0x3FE6A09E667F3BCD)
-    bits = builder.sub(builder.bitcast(u, lanes.whole), lanes.integer(half))
+    bits = builder.sub(builder.bitcast(u, lanes.integer_vector), lanes.integer(half))
     k = builder.sitofp(builder.ashr(bits, lanes.integer(width)), lanes.vector)
     mantissa = builder.and_(bits, lanes.integer((1 << width) - 1))
     m = builder.bitcast(builder.add(mantissa, lanes.integer(half)), lanes.vector)
@@ -157,10 +159,10 @@ def _cbrt(builder, lanes, x):
     shift = 24 if single else 54
     u, small = _normal(builder, lanes, call("llvm.fabs")(builder, lanes, x), shift)
     # A third of the exponent: dividing the bits by 3 is accurate to 4 %.
-    bits = builder.sitofp(builder.bitcast(u, lanes.whole), lanes.vector)
+    bits = builder.sitofp(builder.bitcast(u, lanes.integer_vector), lanes.vector)
     first = 709921077.0 if single else 715094163.0 * 2.0**32
     third = builder.fadd(builder.fmul(bits, lanes.constant(1 / 3)), lanes.constant(first))
-    t = builder.bitcast(builder.fptosi(third, lanes.whole), lanes.vector)
+    t = builder.bitcast(builder.fptosi(third, lanes.integer_vector), lanes.vector)
     for _ in range(2 if single else 3):
         # Halley's iteration cubes the error.
         r = builder.fdiv(u, builder.fmul(t, t))

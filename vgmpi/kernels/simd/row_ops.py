@@ -263,7 +263,7 @@ def _reals(row):
 
 
 def _integers_at(builder, pointer, lanes):
-    return builder.bitcast(pointer, lanes.whole.as_pointer())
+    return builder.bitcast(pointer, lanes.integer_vector.as_pointer())
 
 
 def _bits(lanes) -> int:
@@ -336,7 +336,7 @@ def add_fixed_point(typing, row, first, distance):
         pointer = _integers_at(builder, pointer, lanes)
         x = builder.load(pointer, align=_align(lanes))
         step = call("llvm.floor")(builder, lanes, arguments[2])
-        x = builder.add(x, builder.fptosi(step, lanes.whole))
+        x = builder.add(x, builder.fptosi(step, lanes.integer_vector))
         builder.store(x, pointer, align=_align(lanes))
         return builder.fmul(builder.sitofp(x, lanes.vector), lanes.constant(2.0 ** -_bits(lanes)))
 

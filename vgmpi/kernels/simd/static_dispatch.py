@@ -3,7 +3,7 @@
     @static_dispatch
     def particle_contribution(kind, ...): "Description."
 
-    @particle_contribution.of(Momentum)
+    @particle_contribution.register(Momentum)
     def _(kind, ...): ...
 
 Kinds are NamedTuples. The implementation is selected when a kernel is compiled, so that kernels do
@@ -16,21 +16,21 @@ from vgmpi.runtime.jit import inlined_overload
 
 
 def static_dispatch(stub):
-    """Make `stub` callable from kernels; `stub.of(Kind)` adds an implementation."""
+    """Make `stub` callable from kernels; `stub.register(Kind)` adds an implementation."""
     table = {}
 
-    def _of(kind: type):
-        def _add(function):
+    def _register(kind: type):
+        def _register_implementation(function):
             if kind in table:
-                raise TypeError(f"{stub.__name__} is told twice for {kind.__name__}")
+                raise TypeError(f"{stub.__name__} is registered twice for {kind.__name__}")
             table[kind] = function
             return function
 
-        return _add
+        return _register_implementation
 
     @inlined_overload(stub)
     def _choose(kind, *_):
         return table.get(kind.instance_class) if isinstance(kind, types.BaseNamedTuple) else None
 
-    stub.of, stub.table = _of, table
+    stub.register, stub.table = _register, table
     return stub

@@ -40,7 +40,7 @@ class VectorType(types.Type):
         self.count = count
         scalar = ir.FloatType() if real.bitwidth == 32 else ir.DoubleType()
         self.vector = ir.VectorType(scalar, self.count)
-        self.whole = ir.VectorType(ir.IntType(real.bitwidth), self.count)
+        self.integer_vector = ir.VectorType(ir.IntType(real.bitwidth), self.count)
         super().__init__(name=f"Lanes({real} x {self.count})")
 
     def constant(self, value: float) -> ir.Constant:
@@ -49,7 +49,7 @@ class VectorType(types.Type):
 
     def integer(self, value: int) -> ir.Constant:
         """Return the LLVM constant with an integer in all lanes."""
-        return ir.Constant(self.whole, [value] * self.count)
+        return ir.Constant(self.integer_vector, [value] * self.count)
 
 
 class MaskType(types.Type):

@@ -184,44 +184,44 @@ def _max_component(f, p, cap, scale):
 # ---- nothing ------------------------------------------------------------------------------------
 
 
-@load_patches.of(VelocityOnly)
+@load_patches.register(VelocityOnly)
 def _(kind, blocks, box, mirror, real, ghosts, s):
     pass
 
 
-@gather_batch.of(VelocityOnly)
+@gather_batch.register(VelocityOnly)
 def _(kind, count, weights, records, base, real, extra):
     pass
 
 
-@particle_velocity.of(VelocityOnly)
+@particle_velocity.register(VelocityOnly)
 def _(kind, f, p, cap, extra, n, v):
     _store_velocity(f, p, cap, v)
 
 
-@max_velocity.of(VelocityOnly)
+@max_velocity.register(VelocityOnly)
 def _(kind, f, p, cap, displacement, scale):
     return displacement
 
 
-@advection_velocity.of(VelocityOnly)
+@advection_velocity.register(VelocityOnly)
 def _(kind, split, extra, n, v):
     return v
 
 
-@velocity_gradient.of(VelocityOnly)
+@velocity_gradient.register(VelocityOnly)
 def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
     return L
 
 
-@displacement.of(VelocityOnly)
-@displacement.of(MixtureGather)
-@displacement.of(FlipGather)
+@displacement.register(VelocityOnly)
+@displacement.register(MixtureGather)
+@displacement.register(FlipGather)
 def _(kind, extra, n, moves):
     return moves
 
 
-@mixture_wave_speed_squared.of(VelocityOnly)
+@mixture_wave_speed_squared.register(VelocityOnly)
 def _(kind, f, p, cap, numbers, wave2):
     return wave2
 
@@ -229,14 +229,14 @@ def _(kind, f, p, cap, numbers, wave2):
 # ---- phases that share space --------------------------------------------------------------------
 
 
-@load_patches.of(MixtureGather)
+@load_patches.register(MixtureGather)
 def _(kind, blocks, box, mirror, real, ghosts, s):
     load_mirrored_patch(kind.flux, blocks, box, mirror, patch_of(real, 0), None, s)
     if kind.drifts:
         load_mirrored_patch(kind.drift, blocks, box, mirror, patch_of(real, 1), None, s)
 
 
-@gather_batch.of(MixtureGather)
+@gather_batch.register(MixtureGather)
 def _(kind, count, weights, records, base, real, extra):
     """Gather the flux divergence [cells/s], the fluids' volume fraction and the drift [m/s]."""
     gather_affine(count, records, weights, base, patch_of(real, 0))
@@ -249,17 +249,17 @@ def _(kind, count, weights, records, base, real, extra):
         scatter_columns(count, records, extra, 2 * BATCH, BATCH)
 
 
-@particle_velocity.of(MixtureGather)
+@particle_velocity.register(MixtureGather)
 def _(kind, f, p, cap, extra, n, v):
     _store_velocity(f, p, cap, v)
 
 
-@max_velocity.of(MixtureGather)
+@max_velocity.register(MixtureGather)
 def _(kind, f, p, cap, displacement, scale):
     return _max_component(f, p, cap, scale) if kind.drifts else displacement
 
 
-@advection_velocity.of(MixtureGather)
+@advection_velocity.register(MixtureGather)
 def _(kind, split, extra, n, v):
     x, y, z = v
     if split and kind.drifts:
@@ -269,7 +269,7 @@ def _(kind, split, extra, n, v):
     return x, y, z
 
 
-@velocity_gradient.of(MixtureGather)
+@velocity_gradient.register(MixtureGather)
 def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
     """Add the volume change of the mixture to the velocity gradient.
 
@@ -292,7 +292,7 @@ def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
     return (c0 + added, c1, c2, c3, c4 + added, c5, c6, c7, c8 + added)
 
 
-@mixture_wave_speed_squared.of(MixtureGather)
+@mixture_wave_speed_squared.register(MixtureGather)
 def _(kind, f, p, cap, numbers, wave2):
     porosity = np.int64(numbers.porosity)
     wave2 = wave2 * numbers.slips
@@ -305,19 +305,19 @@ def _(kind, f, p, cap, numbers, wave2):
 # ---- FLIP ---------------------------------------------------------------------------------------
 
 
-@load_patches.of(FlipGather)
+@load_patches.register(FlipGather)
 def _(kind, blocks, box, mirror, real, ghosts, s):
     load_mirrored_patch(kind.change, blocks, box, mirror, patch_of(real, kind.patch), ghosts, s)
 
 
-@gather_batch.of(FlipGather)
+@gather_batch.register(FlipGather)
 def _(kind, count, weights, records, base, real, extra):
     """Gather the change of velocity [m/s], behind all other quantities."""
     gather_value(count, records, weights, base, patch_of(real, kind.patch))
     scatter_columns(count, records, extra, CHANGE, BATCH)
 
 
-@particle_velocity.of(FlipGather)
+@particle_velocity.register(FlipGather)
 def _(kind, f, p, cap, extra, n, v):
     """Blend the particle's velocity plus the grid's change with the grid velocity.
 
@@ -331,22 +331,22 @@ def _(kind, f, p, cap, extra, n, v):
     _store_velocity(f, p, cap, (a, b, c))
 
 
-@max_velocity.of(FlipGather)
+@max_velocity.register(FlipGather)
 def _(kind, f, p, cap, displacement, scale):
     return _max_component(f, p, cap, scale)
 
 
-@advection_velocity.of(FlipGather)
+@advection_velocity.register(FlipGather)
 def _(kind, split, extra, n, v):
     return v
 
 
-@velocity_gradient.of(FlipGather)
+@velocity_gradient.register(FlipGather)
 def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
     return L
 
 
-@mixture_wave_speed_squared.of(FlipGather)
+@mixture_wave_speed_squared.register(FlipGather)
 def _(kind, f, p, cap, numbers, wave2):
     return wave2
 
@@ -358,41 +358,41 @@ class MixtureFlipGather(NamedTuple):
     blend: FlipGather
 
 
-@load_patches.of(MixtureFlipGather)
+@load_patches.register(MixtureFlipGather)
 def _(kind, blocks, box, mirror, real, ghosts, s):
     load_patches(kind.sharing, blocks, box, mirror, real, ghosts, s)
     load_patches(kind.blend, blocks, box, mirror, real, ghosts, s)
 
 
-@gather_batch.of(MixtureFlipGather)
+@gather_batch.register(MixtureFlipGather)
 def _(kind, count, weights, records, base, real, extra):
     gather_batch(kind.sharing, count, weights, records, base, real, extra)
     gather_batch(kind.blend, count, weights, records, base, real, extra)
 
 
-@particle_velocity.of(MixtureFlipGather)
+@particle_velocity.register(MixtureFlipGather)
 def _(kind, f, p, cap, extra, n, v):
     particle_velocity(kind.blend, f, p, cap, extra, n, v)
 
 
-@max_velocity.of(MixtureFlipGather)
+@max_velocity.register(MixtureFlipGather)
 def _(kind, f, p, cap, displacement, scale):
     return max_velocity(kind.blend, f, p, cap, displacement, scale)
 
 
-@advection_velocity.of(MixtureFlipGather)
+@advection_velocity.register(MixtureFlipGather)
 def _(kind, split, extra, n, v):
     return advection_velocity(kind.sharing, split, extra, n, v)
 
 
-displacement.of(MixtureFlipGather)(displacement.table[MixtureGather])
+displacement.register(MixtureFlipGather)(displacement.table[MixtureGather])
 
 
-@velocity_gradient.of(MixtureFlipGather)
+@velocity_gradient.register(MixtureFlipGather)
 def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
     return velocity_gradient(kind.sharing, split, f, p, cap, extra, n, L, fill, slope, numbers)
 
 
-@mixture_wave_speed_squared.of(MixtureFlipGather)
+@mixture_wave_speed_squared.register(MixtureFlipGather)
 def _(kind, f, p, cap, numbers, wave2):
     return mixture_wave_speed_squared(kind.sharing, f, p, cap, numbers, wave2)

@@ -97,7 +97,7 @@ class StepConstants(NamedTuple):
 
     dt: float  # [s] time step, in the working precision
     cfl: float  # [-] CFL number
-    one: float  # units of the fixed-point positions per cell, 2^bits
+    units_per_cell: float  # units of the fixed-point positions per cell, 2^bits
     dither_x: float  # [position units]
     dither_y: float
     dither_z: float
@@ -139,7 +139,7 @@ def grid_to_particles(
     split, limit, mirror = segments.split, segments.limit, segments.mirror
     weights, records, patch, extra = split_scratch(scratch.real)
     patch[PATCH:] = 0
-    base, box = scratch.whole, box_of(scratch.whole)
+    base, box = scratch.integers, box_of(scratch.integers)
     flat = pointer(velocity.reshape(velocity.size))
     mirror_fraction = momentum_mirror_fraction(ghosts)
     for q in range(len(rows)):
@@ -293,7 +293,7 @@ def _advect(cloud, p, moves, motion):
         moves: Displacement, three components [cells].
         motion: Constants of the step.
     """
-    cell_units, cap = motion.one, cloud.cap
+    cell_units, cap = motion.units_per_cell, cloud.cap
     x = add_fixed_point(cloud.xi, p, cell_units * moves[0] + motion.dither_x)
     y = add_fixed_point(cloud.xi, p + cap, cell_units * moves[1] + motion.dither_y)
     z = add_fixed_point(cloud.xi, p + 2 * cap, cell_units * moves[2] + motion.dither_z)

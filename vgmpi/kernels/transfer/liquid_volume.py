@@ -74,37 +74,37 @@ def clamp_to_unit(value):
     return np.minimum(np.maximum(value, zero), zero + 1.0)
 
 
-@load_patches.of(DensityCorrected)
+@load_patches.register(DensityCorrected)
 def _(kind, blocks, box, mirror, real, ghosts, s):
     load_patches(kind.inner, blocks, box, mirror, real, ghosts, s)
 
 
-@gather_batch.of(DensityCorrected)
+@gather_batch.register(DensityCorrected)
 def _(kind, count, weights, records, base, real, extra):
     gather_batch(kind.inner, count, weights, records, base, real, extra)
 
 
-@particle_velocity.of(DensityCorrected)
+@particle_velocity.register(DensityCorrected)
 def _(kind, f, p, cap, extra, n, v):
     particle_velocity(kind.inner, f, p, cap, extra, n, v)
 
 
-@max_velocity.of(DensityCorrected)
+@max_velocity.register(DensityCorrected)
 def _(kind, f, p, cap, displacement, scale):
     return max_velocity(kind.inner, f, p, cap, displacement, scale)
 
 
-@advection_velocity.of(DensityCorrected)
+@advection_velocity.register(DensityCorrected)
 def _(kind, split, extra, n, v):
     return advection_velocity(kind.inner, split, extra, n, v)
 
 
-@displacement.of(DensityCorrected)
+@displacement.register(DensityCorrected)
 def _(kind, extra, n, moves):
     return displacement(kind.inner, extra, n, moves)
 
 
-@velocity_gradient.of(DensityCorrected)
+@velocity_gradient.register(DensityCorrected)
 def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
     """Add the density correction to the velocity gradient seen by the equation of state.
 
@@ -134,7 +134,7 @@ def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
     )
 
 
-@mixture_wave_speed_squared.of(DensityCorrected)
+@mixture_wave_speed_squared.register(DensityCorrected)
 def _(kind, f, p, cap, numbers, wave2):
     return mixture_wave_speed_squared(kind.inner, f, p, cap, numbers, wave2)
 
@@ -149,10 +149,10 @@ for _dispatch in (
     load_patches, particle_velocity, max_velocity, advection_velocity, displacement,
     mixture_wave_speed_squared,
 ):  # fmt: skip
-    _dispatch.of(CellDilatation)(_dispatch.table[VelocityOnly])
+    _dispatch.register(CellDilatation)(_dispatch.table[VelocityOnly])
 
 
-@gather_batch.of(CellDilatation)
+@gather_batch.register(CellDilatation)
 def _gather_cell_divergence(kind, count, weights, records, base, real, extra):
     """Gather the mean divergence of the cells [cells/s]."""
     gather_cell_slopes(count, records, weights, base, velocity_patch_of(real))
@@ -161,7 +161,7 @@ def _gather_cell_divergence(kind, count, weights, records, base, real, extra):
         extra[n] = records[m] + records[m + 5] + records[m + 10]
 
 
-@velocity_gradient.of(CellDilatation)
+@velocity_gradient.register(CellDilatation)
 def _replace_trace(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
     """Replace the trace of the velocity gradient."""
     c0, c1, c2, c3, c4, c5, c6, c7, c8 = L
@@ -181,7 +181,7 @@ def cell_pressure_kind(plan) -> CellPressure:
     return CellPressure(*(plan.real.type(v) for v in (MIRROR_IMPULSE, plan.dx)))
 
 
-@particle_contribution.of(CellPressure)
+@particle_contribution.register(CellPressure)
 def _cell_pressure(kind, law, count, offset, cap, f, extra, peak, records, dt):
     zero = broadcast(f, 0.0)
     dx = kind.dx
@@ -201,7 +201,7 @@ def _cell_pressure(kind, law, count, offset, cap, f, extra, peak, records, dt):
         )  # fmt: skip
 
 
-@accumulate.of(CellPressure)
+@accumulate.register(CellPressure)
 def _add_by_cells(kind, count, records, weights, base, patch):
     scatter_cell_pressure(count, records, weights, base, patch)
 

@@ -66,7 +66,7 @@ def particles_to_grid(rows, kind, law, segments, particles, sums, scratch, dt, g
     totals = pointer(sums.reshape(sums.size))
     weights, records, patch, extra = split_scratch(scratch.real)
     peak = pointer(scratch.peak)
-    base, box = scratch.whole, box_of(scratch.whole)
+    base, box = scratch.integers, box_of(scratch.integers)
     start, count, into, mirror = (
         segments.start,
         segments.count,

@@ -39,12 +39,12 @@ class SurfaceStencils(NamedTuple):
 
 
 @borrowing_kernel
-def flag_nodes(nodes, whose, free, free_reach, dx, flags):
+def flag_nodes(nodes, collider_number, free, free_reach, dx, flags):
     """Flag the nodes at which contact with a collider or a free body may act.
 
     Args:
         nodes: Normal and distance [m] of the nearest collider, shape (n, 64, 4).
-        whose: Its number, shape (n, 64).
+        collider_number: Its number, shape (n, 64).
         free: Free bodies among the colliders, (colliders,) bool.
         free_reach: Distance up to which a free body acts, on both sides of its surface [cells].
         dx: Cell size [m].
@@ -54,7 +54,7 @@ def flag_nodes(nodes, whose, free, free_reach, dx, flags):
         word = np.uint64(0)
         for node in range(64):
             d = nodes[b, node, 3]
-            if free[whose[b, node]]:
+            if free[collider_number[b, node]]:
                 acts = abs(d) < free_reach * dx
             else:
                 acts = d < np.inf
@@ -118,7 +118,7 @@ def find_contributing_particles(rows, segments, particles, flags, stencils, scra
     """
     cap = particles.f.shape[1]
     f, xi = particles.f.reshape(particles.f.size), particles.xi.reshape(particles.xi.size)
-    base, stencil, box = scratch.whole, np.zeros(8, np.uint64), np.zeros(6, np.int64)
+    base, stencil, box = scratch.integers, np.zeros(8, np.uint64), np.zeros(6, np.int64)
     for s in rows:
         q = stencils.number[s]
         stencils.target[q] = _spread_flags(stencils.neighbors[q], flags, stencil)
@@ -167,7 +167,7 @@ def particles_to_surface_nodes(rows, kind, offsets, law, segments, particles, su
     cap = particles.f.shape[1]
     f, xi = particles.f.reshape(particles.f.size), particles.xi.reshape(particles.xi.size)
     weights, records, _, extra = split_scratch(scratch.real)
-    peak, base = pointer(scratch.peak), scratch.whole
+    peak, base = pointer(scratch.peak), scratch.integers
     for s in rows:
         q = stencils.number[s]
         box, target = stencils.box[q], stencils.target[q]

@@ -52,7 +52,7 @@ def momentum_to_velocity_only(
         report: Accumulator overflows (in/out), see kernels/reproducible_sums.py.
     """
     rows, moved = blocks_at(tables), sums_at(momentum)
-    first, phase_of, cell_mass = pointer(tables.first), rows.phase, pointer(phases.least)
+    first, phase_of, cell_mass = pointer(tables.first), rows.phase, pointer(phases.min_cell_mass)
     push, nodes = tile(step.gravity_increment, 0), moved.nodes
     for b in blocks:
         n0, n1 = first[b], first[b + 1]
@@ -75,7 +75,8 @@ def momentum_to_velocity_only(
                 finalize_node_block(nb, rows, sums_at(volumes), report, volume_field)
         if fill is not None:
             store_fullness(
-                n0, n1, phase_of, nodes, rest_volumes, fill, tables.at[b], tables.solid[b], phases,
+                n0, n1, phase_of, nodes, rest_volumes, fill, tables.coordinates[b],
+                tables.solid[b], phases,
                 step.dx,
             )  # fmt: skip
 
@@ -103,7 +104,7 @@ def apply_transfer_correction(
     limit = segments.limit
     weights, records, patch, _ = split_scratch(scratch.real)
     patch[PATCH:] = 0
-    base, box = scratch.whole, box_of(scratch.whole)
+    base, box = scratch.integers, box_of(scratch.integers)
     flat = pointer(velocity.reshape(velocity.size))
     mirror_fraction = momentum_mirror_fraction(ghosts)
     for q in range(len(rows)):

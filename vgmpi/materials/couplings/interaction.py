@@ -52,7 +52,7 @@ class InteractionRules(NamedTuple):
         return self._of_phases((self.diffusion > 0.0) & ~np.asarray(self.printed_mix, bool))
 
     @property
-    def as_one(self) -> np.ndarray:
+    def phase_sets(self) -> np.ndarray:
         """Return the mixing group of phases without slip, which share one velocity, or -1: (n,)."""
         still = (np.asarray(self.slip_relaxation_time) == 0.0) & ~np.asarray(self.printed_mix, bool)
         return np.where(self._of_phases(still), self.mix, -1)

@@ -38,7 +38,7 @@ class Snapshot(NamedTuple):
     time: float  # [s]
     steps: float  # since the moment before, converted to the scene's own cells
     number: tuple[int, ...]  # particles of each object and inlet, converted to the scene's own
-    around: tuple[Proximity, ...]  # proximity of each, converted to the scene's own cells
+    proximity: tuple[Proximity, ...]  # proximity of each, converted to the scene's own cells
     coarse: CoarseStep = CoarseStep()
 
 
@@ -65,7 +65,7 @@ class PilotRun(NamedTuple):
             pace: Throughput of the processor.
         """
         return np.array([
-            m.steps * step_ns(scene, replace(plan, count=m.number, surroundings=m.around), pace)
+            m.steps * step_ns(scene, replace(plan, count=m.number, surroundings=m.proximity), pace)
             for m in self.moments
         ])  # fmt: skip
 

@@ -52,10 +52,10 @@ def liquid_fill(simulation: Simulation) -> dict[int, LiquidFill]:
             )  # fmt: skip
     add_remote_sums(simulation, sums)
     of_liquid = np.isin(tables.phase, phases)
-    total = np.zeros((len(tables.at), 64), np.int64)
-    block = np.repeat(np.arange(len(tables.at)), np.diff(tables.first))
+    total = np.zeros((len(tables.coordinates), 64), np.int64)
+    block = np.repeat(np.arange(len(tables.coordinates)), np.diff(tables.first))
     np.add.at(total, block[of_liquid], sums[of_liquid])
-    capacity = cell_capacity(plan, tables.at)
+    capacity = cell_capacity(plan, tables.coordinates)
     with np.errstate(divide="ignore", invalid="ignore"):
         fullness = np.where(capacity > 0, total / capacity, 0.0)
     fits = 1.0 / np.maximum(fullness, 1.0)
@@ -114,8 +114,8 @@ def add_remote_sums(simulation: Simulation, sums: np.ndarray, to_all: bool = Fal
         to_all: Add the sums of all ranks, at all nodes that this rank's particles reach.
     """
     tables, ranks = simulation.tables, simulation.ranks
-    block = np.repeat(np.arange(len(tables.at)), np.diff(tables.first))
-    place = np.column_stack([tables.at[block], tables.phase])
+    block = np.repeat(np.arange(len(tables.coordinates)), np.diff(tables.first))
+    place = np.column_stack([tables.coordinates[block], tables.phase])
     rows, to = [np.zeros((0, 68), np.int64)], [np.zeros(0, np.int64)]
     for other, fields in tables.shared.items():
         if (to_all or other < ranks.rank) and "momentum" in fields:

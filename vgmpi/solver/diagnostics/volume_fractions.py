@@ -108,13 +108,13 @@ def _node_fractions(simulation: Simulation, sums: np.ndarray) -> np.ndarray:
     """
     tables, rules = simulation.tables, simulation.plan.rules
     assert rules is not None
-    block = np.repeat(np.arange(len(tables.at)), np.diff(tables.first))
-    capacity = cell_capacity(simulation.plan, tables.at)
+    block = np.repeat(np.arange(len(tables.coordinates)), np.diff(tables.first))
+    capacity = cell_capacity(simulation.plan, tables.coordinates)
     result = np.zeros(sums.shape)
     for number in range(rules.sets):
         mixed = rules.mixture_set[tables.phase] == number
         wet = np.asarray(rules.fluid, bool)[tables.phase]
-        fluid, grains = np.zeros((2, len(tables.at), 64), np.int64)
+        fluid, grains = np.zeros((2, len(tables.coordinates), 64), np.int64)
         np.add.at(fluid, block[mixed & wet], sums[mixed & wet])
         np.add.at(grains, block[mixed & ~wet], sums[mixed & ~wet])
         dense = grains / np.maximum(np.maximum(fluid + grains, capacity), 1)

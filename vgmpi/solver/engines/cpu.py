@@ -45,7 +45,7 @@ from .group_context import (
     GroupContext,
     auxiliary_gather_kind,
     group_context,
-    lowest_beyond,
+    lowest_overflow,
     particles_of,
 )
 from .kernel_caller import KernelCaller
@@ -81,18 +81,18 @@ class Cpu(KernelCaller):
             getattr(solids, "is_free", np.zeros(0, bool)),
         )  # fmt: skip
         self.walls, self.phases = wall_table(plan), phase_table(plan)
-        self.apart = any(group.apart for group in plan.groups)
+        self.separates_stress = any(group.separates_stress for group in plan.groups)
         self.requests = FieldRequests(plan)
-        fields = nodal_fields(self.requests, self.apart, self.LAYER)
+        fields = nodal_fields(self.requests, self.separates_stress, self.LAYER)
         self.layers = {field.name: field for field in fields}
         self.number_of_field = {name: k for k, name in enumerate(self.layers)}
         self.words = reproducible_sums.accumulator_words(plan.real)
-        self.as_one = phase_sets(plan)
+        self.phase_sets = phase_sets(plan)
         # auxiliary nodal values that particles gather, by name
         has_change = plan.flip is not None
         self.gathered = {"flux": plan.rules is not None, "drift": plan.drifts, "change": has_change}
         self.gathered |= {name: True for each in plan.features for name in each.gathered}
-        self.beside = {
+        self.gathered_nodes = {
             name: aligned_zeros((0, reproducible_sums.BLOCK), plan.real) for name in self.gathered
         }
         self.fill_of_nodes = node_fill(plan)
@@ -100,16 +100,18 @@ class Cpu(KernelCaller):
         patch_count = max(sum(self.gathered.values()), int(plan.shift_interval > 0))
         patch_count = max(patch_count, surface_fields.patch_count(plan))
         self.scratch = [particle_records.scratch(plan.real, patch_count) for _ in range(threads)]
-        self.room = [contact_impulses.contact_workspace(len(plan.phases)) for _ in range(threads)]
+        self.workspaces = [
+            contact_impulses.contact_workspace(len(plan.phases)) for _ in range(threads)
+        ]
         self.mixture_workspace = [
             mixture_workspace.mixture_workspace(len(plan.phases), plan.real, aligned_zeros)
-            for _ in range(threads if self.apart else 0)
+            for _ in range(threads if self.separates_stress else 0)
         ]
         self.reactions: ReactionAccumulators | None = None
         self.pairs = mixture_workspace.mixture_tables(plan.rules) if plan.rules is not None else ()
         self.parts: list[GroupContext] = []
         self.reports = np.zeros((len(plan.groups), threads, MAXIMA))
-        self.beyond = np.zeros((threads, len(self.layers)), np.int64)
+        self.overflow = np.zeros((threads, len(self.layers)), np.int64)
 
     def enable_reactions(self, rows: int, quanta: np.ndarray, rank: int) -> None:
         """Start to sum the reactions of colliders and walls.
@@ -146,22 +148,30 @@ class Cpu(KernelCaller):
         ]
         target, copied, copy_rows = accumulator_copies(tables, rows, partitions, self.threads)
         self.blocks = NodeBlocks(
-            tables.first, tables.phase, tables.at, tables.meets, tables.solid, copied, copy_rows
+            tables.first,
+            tables.phase,
+            tables.coordinates,
+            tables.may_touch,
+            tables.solid,
+            copied,
+            copy_rows,
         )
         phase_of_row = np.concatenate([tables.phase, np.repeat(tables.phase, np.diff(copied))])
         for name, layer in self.layers.items():
-            layer.set_topology(tables.asked[name], phase_of_row)
+            layer.set_topology(tables.has_terms[name], phase_of_row)
         for name, requested in self.gathered.items():
             if requested:
-                self.beside[name] = self.grown_nodes(self.beside[name], len(tables.phase))
+                self.gathered_nodes[name] = self.grown_nodes(
+                    self.gathered_nodes[name], len(tables.phase)
+                )
         self.block_shares = ThreadPartition(
             np.diff(tables.first), tables.receives_remote, self.threads
         )
         sent = [link.send_blocks for links in tables.shared.values() for link in links.values()]
-        self.united = np.unique(np.concatenate([np.zeros(0, np.int64), *sent]))
+        self.merged_rows = np.unique(np.concatenate([np.zeros(0, np.int64), *sent]))
         if self.reactions is not None:
             self.reactions.set_topology(tables)
-            self.room = self.reactions.attach_to_workspaces(self.room)
+            self.workspaces = self.reactions.attach_to_workspaces(self.workspaces)
         self.parts = []
         for group, own, partition in zip(self.groups, rows, partitions, strict=True):
             context = group_context(
@@ -215,7 +225,9 @@ class Cpu(KernelCaller):
         if border and self.threads > 1:
             for name, layer in self.layers.items():
                 if len(layer.phase) and self._is_summed(name):
-                    reproducible_sums.merge_thread_copies(self.united, self.blocks, layer.tables)
+                    reproducible_sums.merge_thread_copies(
+                        self.merged_rows, self.blocks, layer.tables
+                    )
 
     def _is_summed(self, name: str) -> bool:
         """Return whether particles contribute to a nodal field in the present step."""
@@ -260,7 +272,7 @@ class Cpu(KernelCaller):
         """Add the sums of another rank."""
         layer = self.layers[part.layer]
         reproducible_sums.unpack(
-            part.numbers, part.tails, part.blocks, part.masks, layer.sums, layer.rest,
+            part.numbers, part.tails, part.blocks, part.masks, layer.sums, layer.bias,
             self.tables.phase,
         )  # fmt: skip
 
@@ -277,41 +289,47 @@ class Cpu(KernelCaller):
         if not self.dt:
             self.call_if_rows(
                 (self.shift is None,), transfer_correction.momentum_to_velocity_only, blocks,
-                self.blocks, layers["momentum"].tables, self.as_one, phases,
-                self.node_fill_now(), *self.rest_volumes, self.step, self.beyond[thread],
+                self.blocks, layers["momentum"].tables, self.phase_sets, phases,
+                self.node_fill_now(), *self.rest_volumes, self.step, self.overflow[thread],
             )  # fmt: skip
             return
-        if self.apart:
+        if self.separates_stress:
             separate = update.SeparatedStress(
-                layers["impulses"].tables, **self.beside, noted=int(self.gathered["change"]),
-                room=self.mixture_workspace[thread], tables=self.pairs,
+                layers["impulses"].tables, **self.gathered_nodes,
+                needs_change=int(self.gathered["change"]),
+                workspace=self.mixture_workspace[thread], tables=self.pairs,
             )  # fmt: skip
         rigid, solids = self.no_rigid, self.solids
         if solids is not None:
-            rigid = rigid._replace(nodes=solids.nodes, moves=solids.moves, whose=solids.whose)
+            rigid = rigid._replace(
+                nodes=solids.nodes, moves=solids.moves, collider_number=solids.collider_number
+            )
         if (marks := reserved_nodes(self.features)) is not None:
             rigid = rigid._replace(motions=rigid.motions._replace(reserved=marks))
         shear = layers["shear"].tables if self.plan.has_surface_friction else None
         summed = update.CommonFields(layers["momentum"].tables, layers["offsets"].tables)
         self.call_if_rows(
             (), update.update, blocks, self.blocks, summed, shear, separate, self.plan.rules,
-            self.walls, phases, rigid, self.room[thread], self.step, self.beyond[thread],
+            self.walls, phases, rigid, self.workspaces[thread], self.step, self.overflow[thread],
         )  # fmt: skip
         for name, carried in self.requests.carried.items():
             self.call_if_rows(
                 (), carried_values.average_over_phases, blocks, self.blocks, layers[name].tables,
-                carried.set_of, self.beyond[thread], self.number_of_field[name],
+                carried.set_of, self.overflow[thread], self.number_of_field[name],
             )  # fmt: skip
 
     def begin_coupling(self) -> NodeState:
         """Convert the sums that only couplings read to numbers, and return the nodes."""
         for number, (name, field) in enumerate(self.layers.items()):
             if name in self.requests.of_couplings:
-                reproducible_sums.finalize_field(self.blocks, field.tables, self.beyond[0], number)
+                reproducible_sums.finalize_field(
+                    self.blocks, field.tables, self.overflow[0], number
+                )
         return NodeState(
-            self.layers["momentum"].nodes, self.layers, self.beside, self.tables, self.blocks,
+            self.layers["momentum"].nodes, self.layers, self.gathered_nodes, self.tables,
+            self.blocks,
             self.block_shares.all, self.phases, self.walls,
-            [workspace.given for workspace in self.room], self.each, self.call,
+            [workspace.reactions for workspace in self.workspaces], self.each, self.call,
         )  # fmt: skip
 
     def end_coupling(self) -> None:
@@ -350,7 +368,7 @@ class Cpu(KernelCaller):
                     (g,), carried_values.gather_values, rows, channel, part.segments, particles,
                     self.layers[name].nodes, scratch,
                 )  # fmt: skip
-            auxiliary = auxiliary_gather_kind(self.plan, plan, self.beside, self.dt)
+            auxiliary = auxiliary_gather_kind(self.plan, plan, self.gathered_nodes, self.dt)
             self.call_if_rows(
                 (g,), g2p.grid_to_particles, rows, plan.law, part.segments, particles,
                 self.layers["momentum"].nodes, auxiliary, scratch, part.numbers, motion,
@@ -414,9 +432,9 @@ class Cpu(KernelCaller):
 
     def _found_beyond(self) -> list[AccumulatorOverflow]:
         """Return the lowest node block of each field in which a sum left its range."""
-        if not self.beyond.any():
+        if not self.overflow.any():
             return []
         layers = enumerate(self.layers)
-        overflows = [lowest_beyond(self.beyond[:, k], self.tables, name) for k, name in layers]
-        self.beyond[:] = 0
+        overflows = [lowest_overflow(self.overflow[:, k], self.tables, name) for k, name in layers]
+        self.overflow[:] = 0
         return [overflow for overflow in overflows if overflow is not None]

@@ -60,7 +60,7 @@ def group_context(
     """
     plan = requests.plan
     contributes = {name: chosen[rows] for name, chosen in tables.contributes.items()}
-    is_apart = any(other.apart for other in plan.groups)
+    is_apart = any(other.separates_stress for other in plan.groups)
     split = contributes["impulses"] if is_apart else np.zeros(len(rows), bool)
     gathers_more = split | group.plan.cell_dilatation
     gathers_more |= any(feature.gathers(group.plan) for feature in plan.features)
@@ -130,7 +130,7 @@ def _kind_without_correction(plan: Plan, group: GroupPlan, auxiliary: dict, dt: 
         if feature.gathers(group):
             kind: tuple = feature.gather_kind(group, auxiliary)
             return kind
-    if not group.apart:
+    if not group.separates_stress:
         return auxiliary_gather.VelocityOnly(0.0)
     sharing = auxiliary_gather.MixtureGather(
         auxiliary["flux"], auxiliary["drift"], int(plan.drifts)
@@ -144,7 +144,7 @@ def _kind_without_correction(plan: Plan, group: GroupPlan, auxiliary: dict, dt: 
     return MixtureFlipGather(sharing, blend) if group.shares else blend
 
 
-def lowest_beyond(
+def lowest_overflow(
     lowest: np.ndarray, tables: ExchangeTopology, layer: str
 ) -> AccumulatorOverflow | None:
     """Return the lowest node block of a field in which a sum left its range, or None.
@@ -158,5 +158,5 @@ def lowest_beyond(
         return None
     nb = int(lowest[lowest > 0].min()) - 1
     block = int(np.searchsorted(tables.first, nb, side="right")) - 1
-    i, j, k = (int(b) for b in tables.at[block])
+    i, j, k = (int(b) for b in tables.coordinates[block])
     return AccumulatorOverflow((i, j, k), int(tables.phase[nb]), layer)

@@ -56,11 +56,11 @@ class NodalField:
             (0, reproducible_sums.accumulator_words(plan.real), reproducible_sums.BLOCK), np.float64
         )
         self.nodes = aligned_zeros((0, reproducible_sums.BLOCK), plan.real)
-        self.asked = np.zeros(0, np.uint8)
+        self.has_terms = np.zeros(0, np.uint8)
         self.speed = 0.0  # [m/s] speed that the quanta are for; 0: the sums are not reset
         self.current_bounds = np.zeros(0)  # `sum_bounds` at that speed
-        self.rest = np.zeros((len(plan.phases), reproducible_sums.accumulator_words(plan.real), 16))
-        self.tables = Sums(self.sums, self.rest, self.asked, self.nodes)
+        self.bias = np.zeros((len(plan.phases), reproducible_sums.accumulator_words(plan.real), 16))
+        self.tables = Sums(self.sums, self.bias, self.has_terms, self.nodes)
 
     def set_topology(self, requested: np.ndarray, phase_of_row: np.ndarray) -> None:
         """Allocate node blocks, and accumulator copies of some behind them.
@@ -70,7 +70,7 @@ class NodalField:
             phase_of_row: Velocity field of each row of sums: blocks, then copies.
         """
         row_count = len(phase_of_row) if requested.any() else 0
-        self.asked, self.phase = requested.astype(np.uint8), phase_of_row[:row_count]
+        self.has_terms, self.phase = requested.astype(np.uint8), phase_of_row[:row_count]
         self.sums = with_capacity(self.sums, row_count)
         self.nodes = with_capacity(self.nodes, len(requested) if row_count else 0)
         self.nodes[:] = 0
@@ -86,12 +86,12 @@ class NodalField:
             return
         self.speed, bounds = speed, self.sum_bounds(speed)
         if not np.array_equal(bounds, self.current_bounds):
-            self.current_bounds, self.rest = (
+            self.current_bounds, self.bias = (
                 bounds,
                 reproducible_sums.accumulator_biases(bounds, self.real),
             )
-            reproducible_sums.reset(self.sums, self.rest, np.arange(len(self.phase)), self.phase)
-            self.tables = Sums(self.sums, self.rest, self.asked, self.nodes)
+            reproducible_sums.reset(self.sums, self.bias, np.arange(len(self.phase)), self.phase)
+            self.tables = Sums(self.sums, self.bias, self.has_terms, self.nodes)
 
 
 def field_requests(plan: Plan) -> list[FieldRequest]:
@@ -246,7 +246,7 @@ def contributions(
     ]
     if group.cell_dilatation:
         result.append(FieldContribution("momentum", liquid_volume.cell_pressure_kind(plan), ~split))
-    if group.apart:
+    if group.separates_stress:
         result.append(FieldContribution("momentum", inert, split))
         result.append(FieldContribution("impulses", stress_impulse.kind(plan, group), split))
     result += requests.contributions(group, contributes, is_timeless=False)

@@ -34,7 +34,7 @@ def wall_kinds_of(walls: Walls, phase: PhasePlan) -> np.ndarray:
 def phase_table(plan: Plan) -> Phases:
     """Return the numbers of all phases."""
     return Phases(
-        np.array([phase.least for phase in plan.phases]),
+        np.array([phase.min_cell_mass for phase in plan.phases]),
         np.array([phase.contact_priority for phase in plan.phases]),
         np.array(plan.friction),
         np.array(plan.stiff),
@@ -46,4 +46,4 @@ def phase_table(plan: Plan) -> Phases:
 
 def phase_sets(plan: Plan) -> np.ndarray:
     """Return the number of the set with one velocity that each phase is in, -1 for none."""
-    return np.full(len(plan.phases), -1) if plan.rules is None else plan.rules.as_one
+    return np.full(len(plan.phases), -1) if plan.rules is None else plan.rules.phase_sets

@@ -29,7 +29,7 @@ class ReactionAccumulators:
     def attach_to_workspaces(self, workspaces: list[ContactWorkspace]) -> list[ContactWorkspace]:
         """Return the contact workspaces of the threads, each with the thread's reaction sums."""
         pairs = zip(workspaces, self.by_thread, strict=True)
-        return [workspace._replace(given=accumulator) for workspace, accumulator in pairs]
+        return [workspace._replace(reactions=accumulator) for workspace, accumulator in pairs]
 
     def ghosts(self, block: np.ndarray, mirror: np.ndarray) -> reaction_impulses.GhostNodes:
         """Allocate storage for the masses beyond walls of a group's segments.
@@ -60,13 +60,17 @@ class ReactionAccumulators:
         """
         flip, accumulator = self.plan.flip, self.by_thread[thread]
         if layer == "impulses":
-            return ghosts._replace(given=accumulator, holds_mass=0)
+            return ghosts._replace(reactions=accumulator, holds_mass=0)
         if layer != "momentum":
             return None
         if not dt:  # the change by the mirror is restored
-            return ghosts._replace(given=accumulator, share=-float(self.plan.correction_interval))
+            return ghosts._replace(
+                reactions=accumulator, share=-float(self.plan.correction_interval)
+            )
         flip_ratio = 0.0 if flip is None else flip.over(dt)
-        return ghosts._replace(given=accumulator, share=1.0 - flip_ratio, kept=flip_ratio)
+        return ghosts._replace(
+            reactions=accumulator, share=1.0 - flip_ratio, change_share=flip_ratio
+        )
 
     def take(self) -> np.ndarray:
         """Return the sums of all threads, shape (rows, 7) int64, and reset them to zero."""

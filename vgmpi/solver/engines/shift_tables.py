@@ -22,7 +22,7 @@ def node_fill(plan: Plan) -> NodeFill | None:
         return None
     by_volume = np.array([phase.fills_by_volume for phase in plan.phases])
     full = np.array(
-        [plan.dx**3 if by_volume[p] else phase.most for p, phase in enumerate(plan.phases)]
+        [plan.dx**3 if by_volume[p] else phase.max_cell_mass for p, phase in enumerate(plan.phases)]
     )  # [m3] or [kg] in a full cell
     space = 1.0 / full
     if plan.rules is not None:

@@ -57,7 +57,7 @@ def surface_flags(engine) -> np.ndarray:
         return np.zeros(0, np.uint64)
     movers = engine.solids
     flags = np.zeros(len(movers.nodes), np.uint64)
-    flag_nodes(movers.nodes, movers.whose, movers.is_free, REACH_CELLS, movers.dx, flags)
+    flag_nodes(movers.nodes, movers.collider_number, movers.is_free, REACH_CELLS, movers.dx, flags)
     return flags
 
 
@@ -106,7 +106,7 @@ def split_contributions(
     if not is_summed_at_surfaces(plan) or not by_field:
         return contributions, None
     selected, table = by_field[0].chosen, tables.table[rows]
-    block = np.repeat(np.arange(len(tables.at)), np.diff(tables.first))[table]
+    block = np.repeat(np.arange(len(tables.coordinates)), np.diff(tables.first))[table]
     is_single = ~(np.diff(tables.first) > 1)[block].any(1) & ~mirror.any(axis=(1, 2))
     others, both = [], np.zeros(len(rows), bool)
     for contribution in contributions:
@@ -148,7 +148,7 @@ def restrict_offsets(engine) -> None:
     for fields in tables.shared.values():
         if "offsets" in fields:
             is_read[fields["offsets"].receive_blocks] = True
-    engine.layers["offsets"].asked &= is_read
+    engine.layers["offsets"].has_terms &= is_read
 
 
 def surface_stencils(

@@ -238,7 +238,7 @@ def _extrapolated(plan: Plan, last: Snapshot, span: float) -> Snapshot:
         span: Time [s] of its steps.
     """
     end = float(plan.times[-1])
-    number, proximity = list(last.number), list(last.around)
+    number, proximity = list(last.number), list(last.proximity)
     for source in plan.sources:
         k, middle = source.entity, 0.5 * (last.time + end)
         growth = source.spawned(middle) / max(source.spawned(last.time), 1)

@@ -73,7 +73,7 @@ def _color(group, indices, colors) -> np.ndarray:
     """Return color coefficients (n, 3 K), K the largest count of any group; NaN without color."""
     rows = np.full((len(indices), 3 * colors.coefficients.max()), np.nan, np.float32)
     count = 3 * group.plan.coefficients
-    offset = colors.least[group.plan.phase].ravel()[:count]
+    offset = colors.minimum[group.plan.phase].ravel()[:count]
     if count:
         rows[:, :count] = group.get("color", indices) + offset
     return rows

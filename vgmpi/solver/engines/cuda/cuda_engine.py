@@ -56,7 +56,7 @@ class Cuda(Cpu):
         super().__init__(plan, lattice, solids, 1, driven)
         self.real = plan.real.type
         self.copies = Copies()
-        self.at = 0  # number of the step, for error messages
+        self.step_number = 0  # number of the step, for error messages
         self.work: list[Work] = []
         phases = len(plan.phases)
         patches = 1 + sum(self.gathered.values())
@@ -89,7 +89,7 @@ class Cuda(Cpu):
     def _reset(self, layer: CardLayer) -> None:
         self._half(
             NODES, grid_kernels.reset, len(layer.phase), layer.tables.sums,
-            layer.of_rest, layer.of_phase,
+            layer.device_bias, layer.device_phase,
         )  # fmt: skip
 
     def _half(self, mode, function, teams: int, *arguments) -> None:
@@ -122,10 +122,11 @@ class Cuda(Cpu):
         segments = [(*part.segments[:5], part.segments.mirror) for part in self.parts]
         constant = self.walls, self.phases, self.no_rigid
         self.copies.add((self.blocks, *shares, *constant, *segments))
-        self.todo = dict(zip((False, True), map(self.copies.of, shares), strict=True))
-        self.on_card = self.copies.of(self.blocks)
+        self.todo = dict(zip((False, True), map(self.copies.on_device, shares), strict=True))
+        self.on_card = self.copies.on_device(self.blocks)
         self.auxiliary = {
-            name: flattened(self.copies.of(values)) for name, values in self.beside.items()
+            name: flattened(self.copies.on_device(values))
+            for name, values in self.gathered_nodes.items()
         }
         self.rigid = self._rigid()
         self.work = [self._laid_out(part) for part in self.parts]
@@ -134,7 +135,7 @@ class Cuda(Cpu):
         """Return the tables of a group with the present starts and counts of its segments."""
         host = part.segments
         self.copies.add((host.start, host.count))
-        start, count = map(self.copies.of, (host.start, host.count))
+        start, count = map(self.copies.on_device, (host.start, host.count))
         return work._replace(segments=work.segments._replace(start=start, count=count))
 
     def _forget_arguments(self) -> None:
@@ -144,7 +145,7 @@ class Cuda(Cpu):
 
     def _laid_out(self, part: GroupContext) -> Work:
         """Copy the tables of a group to the GPU."""
-        copy = self.copies.of
+        copy = self.copies.on_device
         host = part.segments
         segments = Segments(
             copy(host.start), copy(host.count), copy(host.table), copy(host.accumulator_rows),
@@ -199,19 +200,19 @@ class Cuda(Cpu):
         ghosts = self._ghosts(part, 0, contribution.layer)
         self._half(
             PARTICLE, scatter_kernels.fill, len(rows), rows, contribution.kind, group.plan.law,
-            work.segments, group.on_card(), layer.tables.sums, layer.of_rest, group.plan.phase,
+            work.segments, group.on_card(), layer.tables.sums, layer.device_bias, group.plan.phase,
             self.record.peaks, self.real(self.dt), scatter_kernels.added_along(contribution.kind),
-            self.copies.of(ghosts),
+            self.copies.on_device(ghosts),
         )  # fmt: skip
 
     @with_device_context
     def pack(self, part: FieldMessage) -> None:
         """Pack the sums of this rank into a section of a message."""
-        numbers, tails = self.copies.of((part.numbers, part.tails))
+        numbers, tails = self.copies.on_device((part.numbers, part.tails))
         layer: Any = self.layers[part.layer]
         self._half(
             NODES, grid_kernels.pack, len(part.blocks), numbers, tails,
-            *self.copies.of((part.blocks, part.masks)), self._first(part),
+            *self.copies.on_device((part.blocks, part.masks)), self._first(part),
             layer.tables.sums,
         )  # fmt: skip
         numbers.copy_to_host(part.numbers)
@@ -231,8 +232,8 @@ class Cuda(Cpu):
         self._half(
             NODES, grid_kernels.unpack, len(part.blocks), *self.copies.refreshed((part.numbers,
             part.tails)),
-            *self.copies.of((part.blocks, part.masks)), self._first(part),
-            layer.tables.sums, layer.of_rest, self.on_card.phase,
+            *self.copies.on_device((part.blocks, part.masks)), self._first(part),
+            layer.tables.sums, layer.device_bias, self.on_card.phase,
         )  # fmt: skip
 
     @with_device_context
@@ -243,16 +244,16 @@ class Cuda(Cpu):
         if not self.dt:
             self._half(
                 NODES, grid_kernels.settle, len(blocks), blocks, self.on_card, momentum,
-                copy(self.as_one), copy(self.phases), self._fill_on_card(),
+                copy(self.phase_sets), copy(self.phases), self._fill_on_card(),
                 *self.rest_volumes, self.step, self.record.overflow,
             )  # fmt: skip
             return
         separate, kernel = None, grid_kernels.update
-        if self.apart:
+        if self.separates_stress:
             kernel = grid_kernels.update_apart
             separate = grid.SeparatedStress(
                 self.layers["impulses"].tables, **self.auxiliary,
-                noted=int(self.gathered["change"]), room=(), tables=copy(self.pairs),
+                needs_change=int(self.gathered["change"]), workspace=(), tables=copy(self.pairs),
             )  # fmt: skip
         shear = self.layers["shear"].tables if self.plan.has_surface_friction else None
         summed = grid.CommonFields(momentum, self.layers["offsets"].tables)
@@ -275,13 +276,15 @@ class Cuda(Cpu):
         """Return what fills the nodes' cells in GPU memory, or None."""
         fill = self.node_fill_now()
         moves = self.solids is not None and len(self.solids.moves) > 0
-        return self.copies.refreshed(fill) if moves else self.copies.of(fill)
+        return self.copies.refreshed(fill) if moves else self.copies.on_device(fill)
 
     def _rigid(self) -> grid.RigidBoundaries:
         """Return colliders and prescribed bodies in their current state."""
         rigid, solids = self.no_rigid, self.solids
         if solids is not None:
-            rigid = rigid._replace(nodes=solids.nodes, moves=solids.moves, whose=solids.whose)
+            rigid = rigid._replace(
+                nodes=solids.nodes, moves=solids.moves, collider_number=solids.collider_number
+            )
         return self.copies.refreshed(rigid)
 
     @property
@@ -292,7 +295,7 @@ class Cuda(Cpu):
     @with_device_context
     def gather(self, step: int) -> StepReport:
         """Transfer grid velocities to the particles and advect them."""
-        self.at = step + 1
+        self.step_number = step + 1
         motion = g2p.StepConstants(
             self.real(self.dt), self.real(self.plan.cfl), 2.0 ** BITS[self.plan.real],
             *(d * step % 1.0 for d in DITHER),
@@ -303,7 +306,7 @@ class Cuda(Cpu):
 
     def _gather_one(self, part: GroupContext, work: Work, motion: g2p.StepConstants) -> None:
         group: Any = part.group
-        plan, copy = group.plan, self.copies.of
+        plan, copy = group.plan, self.copies.on_device
         count, real = len(work.all), self.real
         if plan.driven:
             assert self.driven is not None
@@ -366,7 +369,7 @@ class Cuda(Cpu):
                     work.segments, group.on_card(MOVED),
                     self.layers["momentum"].tables.nodes, self.real(self.plan.dx),
                     self.shift if group.plan.shifts else None,
-                    self.copies.of(self._ghosts(part, 0)),
+                    self.copies.on_device(self._ghosts(part, 0)),
                 )  # fmt: skip
         return self._overflows(self.buffer.read())
 
@@ -374,7 +377,7 @@ class Cuda(Cpu):
         """Return the sums that left their range in the present step."""
         if (report.overflow == FINE).all():
             return []
-        self.beyond[0] = np.where(report.overflow == FINE, 0, report.overflow)
+        self.overflow[0] = np.where(report.overflow == FINE, 0, report.overflow)
         return self._found_beyond()
 
     @with_device_context
@@ -382,7 +385,7 @@ class Cuda(Cpu):
         """Return the reactions summed since the last call, shape (rows, 7) int64."""
         assert self.reactions is not None
         sums = self.reactions.by_thread[0].sums
-        self.copies.of(sums).copy_to_host(sums)
+        self.copies.on_device(sums).copy_to_host(sums)
         total = self.reactions.take()
-        self.copies.of(sums).copy_to_device(sums)
+        self.copies.on_device(sums).copy_to_device(sums)
         return total

@@ -122,13 +122,13 @@ class Copies:
     def __init__(self) -> None:
         self.by_id: dict[int, tuple] = {}  # id of a host array -> array and copy
 
-    def of(self, value):
+    def on_device(self, value):
         """Return the copy of an array, or of a tuple the tuple of its copies."""
         if isinstance(value, np.ndarray):
             if id(value) not in self.by_id:
                 self.by_id[id(value)] = value, to_card(value)
             return self.by_id[id(value)][1]
-        return map_tuple(value, self.of) if isinstance(value, tuple) else value
+        return map_tuple(value, self.on_device) if isinstance(value, tuple) else value
 
     def add(self, values: tuple) -> None:
         """Copy arrays, and those of tuples, with one copy, for `of` to return."""
@@ -141,7 +141,7 @@ class Copies:
     def of_table(self, value: tuple):
         """Return the copies of a tuple that stays until the next sort, as the same tuple."""
         if id(value) not in self.by_id:
-            self.by_id[id(value)] = value, self.of(value)
+            self.by_id[id(value)] = value, self.on_device(value)
         return self.by_id[id(value)][1]
 
     def refreshed(self, value):
@@ -150,7 +150,7 @@ class Copies:
             return map_tuple(value, self.refreshed)
         if id(value) in self.by_id:
             self.by_id[id(value)][1].copy_to_device(value)
-        return self.of(value)
+        return self.on_device(value)
 
     def forget(self, value) -> None:
         """Drop the copies of an array, or of the arrays of a tuple, that have changed."""
@@ -185,7 +185,7 @@ class CardLayer(NodalField):
     reset: Callable  # reset(field) of the engine: sets the sums to their bias
     sums: Any
     nodes: Any
-    of_rest: Any
+    device_bias: Any
 
     def set_topology(self, requested: np.ndarray, phase_of_row: np.ndarray) -> None:
         """Allocate node blocks.
@@ -195,14 +195,14 @@ class CardLayer(NodalField):
             phase_of_row: Velocity field of each row of sums.
         """
         row_count = len(phase_of_row) if requested.any() else 0
-        self.asked, self.phase = requested.astype(np.uint8), phase_of_row[:row_count]
+        self.has_terms, self.phase = requested.astype(np.uint8), phase_of_row[:row_count]
         words = reproducible_sums.accumulator_words(self.real)
         self.sums = card_room(self.sums, row_count, (words, reproducible_sums.BLOCK), np.float64)
         self.nodes = card_room(
             self.nodes, len(requested) if row_count else 0, (reproducible_sums.BLOCK,), self.real
         )
         clear(self.nodes)
-        self.of_asked, self.of_phase = to_card_together([self.asked, self.phase])
+        self.device_has_terms, self.device_phase = to_card_together([self.has_terms, self.phase])
         self.speed, self.current_bounds = 0.0, np.zeros(0)
 
     def begin(self, speed: float) -> None:
@@ -211,14 +211,14 @@ class CardLayer(NodalField):
             return
         self.speed, bounds = speed, self.sum_bounds(speed)
         if not np.array_equal(bounds, self.current_bounds):
-            self.current_bounds, self.rest = (
+            self.current_bounds, self.bias = (
                 bounds,
                 reproducible_sums.accumulator_biases(bounds, self.real),
             )
-            self.of_rest = to_card(self.rest)
-            flat_arrays = map(flattened, (self.sums, self.of_rest, self.nodes))
-            flat_sums, flat_rest, flat_nodes = flat_arrays
-            self.tables = Sums(flat_sums, flat_rest, self.of_asked, flat_nodes)
+            self.device_bias = to_card(self.bias)
+            flat_arrays = map(flattened, (self.sums, self.device_bias, self.nodes))
+            flat_sums, flat_bias, flat_nodes = flat_arrays
+            self.tables = Sums(flat_sums, flat_bias, self.device_has_terms, flat_nodes)
             self.reset(self)
 
 

@@ -34,7 +34,8 @@ def with_device_context(method: Callable) -> Callable:
             return method(self, *arguments, **keywords)
         except FAILURES as error:
             raise RuntimeError(
-                f"the card of rank {RANK[0]} failed in step {self.at}, at kernel {LAST[0]} or one"
+                f"the card of rank {RANK[0]} failed in step {self.step_number}, at kernel "
+                f"{LAST[0]} or one"
                 f" before it: {error}"
             ) from error
 

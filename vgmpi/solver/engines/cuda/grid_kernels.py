@@ -118,15 +118,15 @@ def settled(nb, blocks, layer, report, which):
         layer: Nodal field (in/out).
         report, which: Overflow report (in/out) and its entry.
     """
-    if layer.asked[nb] != 0:
+    if layer.has_terms[nb] != 0:
         to, offset, r = BLOCK * nb, BLOCK * WORDS * nb, 16 * WORDS * blocks.phase[nb]
         for c in range(rank(), BLOCK, 16):
-            first = layer.rest[r + (c & 15)]
+            first = layer.bias[r + (c & 15)]
             value = layer.sums[offset + c] - first
             layer.sums[offset + c] = first
             bad = not abs(value) < first * np.float64(1.0 / reproducible_add.ROOM)
             if WORDS == 2:
-                second = layer.rest[r + 16 + (c & 15)]
+                second = layer.bias[r + 16 + (c & 15)]
                 value = value + (layer.sums[offset + BLOCK + c] - second)
                 layer.sums[offset + BLOCK + c] = second
             layer.nodes[to + c] = REAL(value)
@@ -173,9 +173,11 @@ def own_ghosts(ghosts, now, point):
     """Return the ghost record with the workspace of a thread, or None."""
     if ghosts is None:
         return None
-    reactions = own_given(ghosts.given, now, point, ghosts.given.pairs, ghosts.given.places)
+    reactions = own_given(
+        ghosts.reactions, now, point, ghosts.reactions.pairs, ghosts.reactions.places
+    )
     return GhostNodes(
-        reactions, ghosts.slot, ghosts.low, ghosts.mass, ghosts.share, ghosts.kept,
+        reactions, ghosts.slot, ghosts.low, ghosts.mass, ghosts.share, ghosts.change_share,
         ghosts.holds_mass,
     )  # fmt: skip
 
@@ -266,7 +268,8 @@ def update_apart(
     q = number()
     if q < len(blocks):
         own = SeparatedStress(
-            separate.impulses, separate.flux, separate.drift, separate.change, separate.noted,
+            separate.impulses, separate.flux, separate.drift, separate.change,
+            separate.needs_change,
             workspace, separate.tables,
         )  # fmt: skip
         _block(blocks[q : q + 1], tables, summed, shear, own, rules, walls, phases, solids,

@@ -36,17 +36,17 @@ class KernelTranslator:
         self.space: dict[str, Any] = {
             "cuda": cuda, "np": np, "REAL": self.real, "__name__": __name__,
         }  # fmt: skip
-        self.made: dict[tuple, str] = {}  # names in the space, by request
+        self.defined: dict[tuple, str] = {}  # names in the space, by request
 
     def bind_constant(self, value: Any, hint: str) -> str:
         """Return the name of a value in the space, and add it if needed."""
         key = type(value), repr(value) if isinstance(value, str | int | float) else id(value)
-        if key not in self.made:
-            name = f"{hint}_{len(self.made)}"
-            self.space[name], self.made[key] = value, name
+        if key not in self.defined:
+            name = f"{hint}_{len(self.defined)}"
+            self.space[name], self.defined[key] = value, name
             if not isinstance(value, str | int | float):
                 self.space[f"{name}_kept"] = value  # keeps the id in use
-        return self.made[key]
+        return self.defined[key]
 
     def function(self, source: Callable, mode: TranslationMode, trees: dict) -> str:
         """Return the name of the GPU function for a function of the CPU or the GPU.
@@ -58,10 +58,10 @@ class KernelTranslator:
         """
         plain: Any = getattr(source, "py_func", source)
         key = plain, mode.name, tuple(sorted(trees.items(), key=lambda pair: pair[0]))
-        if key not in self.made:
-            self.made[key] = f"{plain.__name__}_{len(self.made)}"
-            self._define(plain, mode, trees, self.made[key])
-        return self.made[key]
+        if key not in self.defined:
+            self.defined[key] = f"{plain.__name__}_{len(self.defined)}"
+            self._define(plain, mode, trees, self.defined[key])
+        return self.defined[key]
 
     def _define(self, plain: FunctionType, mode: TranslationMode, trees: dict, name: str) -> None:
         tree = ast.parse(textwrap.dedent(inspect.getsource(plain)))

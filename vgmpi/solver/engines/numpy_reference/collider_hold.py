@@ -42,7 +42,7 @@ class ColliderHold:
             self.sources.append(self._collider())
         for q in np.flatnonzero(contact.motions.driven):
             size = np.linalg.norm(offset[q], axis=-1)
-            is_near = (mass[q] > contact.least[q]) & (size > 0.0)
+            is_near = (mass[q] > contact.contact_mass[q]) & (size > 0.0)
             if contact.plan.phases[q].surface and is_near.any():
                 normal = offset[q] / np.where(is_near, size, 1.0)[..., None]
                 distance = volume[q] / np.where(is_near, mass[q], 1.0)
@@ -52,14 +52,16 @@ class ColliderHold:
     def _collider(self) -> _Source:
         """Return the nearest collider, or the face that divides nodes, in the half of the phase."""
         contact = self.contact
-        is_near = contact.near & (contact.collider[..., 3] < NO_CONTACT_DISTANCE * contact.dx)
+        is_near = contact.near_collider & (
+            contact.collider[..., 3] < NO_CONTACT_DISTANCE * contact.dx
+        )
         normal, distance = contact.collider[..., :3].copy(), contact.collider[..., 3].copy()
         if contact.division is not None:
             for node in map(tuple, np.argwhere(is_near)):
                 normal[node], distance[node] = contact.division.face(
                     self.p, node, normal[node].copy(), distance[node]
                 )
-        return _Source(is_near, normal, distance, contact.moves, contact.whose)
+        return _Source(is_near, normal, distance, contact.moves, contact.collider_number)
 
     def give_back(self, v: np.ndarray, axis: int, plane: int, before: np.ndarray) -> None:
         """Give the phase what a wall has taken of the push, at the nodes of one plane.
@@ -101,7 +103,7 @@ class ColliderHold:
 
     def _record(self, axis: int, plane: int, source: _Source, change: np.ndarray) -> None:
         """Record the reactions of what pushes, where they are requested."""
-        sums = self.contact.given
+        sums = self.contact.reactions
         if sums is None:
             return
         for i, j in map(tuple, np.argwhere((change != 0.0).any(-1))):

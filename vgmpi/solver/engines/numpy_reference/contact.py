@@ -64,35 +64,39 @@ class Contact:
         self.plan, self.dx, self.shape = plan, plan.dx, dense.shape
         self.collider, self.moves = np.zeros((0, 4)), np.zeros((*dense.shape, 3))
         self.friction = np.zeros((0, 0))
-        self.near = np.zeros(dense.shape, bool)  # nodes close to a collider that is no free body
+        self.near_collider = np.zeros(
+            dense.shape, bool
+        )  # nodes close to a collider that is no free body
         self.is_free = np.zeros(0, bool)  # of the colliders, or empty
         self.reserved: np.ndarray | None = None  # (phases, ...) bool: features attach it
         self.division: Any = None  # what divides nodes between phases, see `ActiveFeature`
         self.planes, self.active_planes = np.zeros(dense.shape, int), plan.planes
         self._count_planes()
-        self.least = np.array([CONTACT_MASS_FLOOR * phase.least for phase in plan.phases])
+        self.contact_mass = np.array(
+            [CONTACT_MASS_FLOOR * phase.min_cell_mass for phase in plan.phases]
+        )
         self.walls = dense
-        self.whose = np.zeros(dense.shape, int)
+        self.collider_number = np.zeros(dense.shape, int)
         self.motions = NO_PRESCRIBED_BODIES  # motion of prescribed bodies
-        self.given: ReactionSums | None = None  # set where reactions are requested
+        self.reactions: ReactionSums | None = None  # set where reactions are requested
 
     def set_rigid(
-        self, collider: np.ndarray, whose: np.ndarray, moves: np.ndarray | None = None
+        self, collider: np.ndarray, collider_number: np.ndarray, moves: np.ndarray | None = None
     ) -> None:
         """Set the nearest collider at all nodes.
 
         Args:
             collider: Outward normal and distance [m], shape (n, 4).
-            whose: Index of the collider, shape (n,).
+            collider_number: Index of the collider, shape (n,).
             moves: Velocity of the collider [m/s], shape (n, 3), or None if all are at rest.
         """
         rows = np.array(self.plan.friction)[len(self.plan.phases) :]
-        self.friction = rows[np.minimum(whose, len(rows) - 1)].reshape(*self.shape, -1)
+        self.friction = rows[np.minimum(collider_number, len(rows) - 1)].reshape(*self.shape, -1)
         self.collider = collider.reshape(*self.shape, 4)
-        self.whose = whose.reshape(self.shape)
-        self.near = self.collider[..., 3] < SDF_BAND_CELLS * self.dx
+        self.collider_number = collider_number.reshape(self.shape)
+        self.near_collider = self.collider[..., 3] < SDF_BAND_CELLS * self.dx
         if len(self.is_free):  # free bodies couple after all others
-            self.near &= ~self.is_free[self.whose]
+            self.near_collider &= ~self.is_free[self.collider_number]
         if moves is not None:
             self.moves = moves.reshape(*self.shape, 3)
 
@@ -137,17 +141,17 @@ class Contact:
         Returns:
             Number of nodes with contact.
         """
-        present = mass > self.least[:, None, None, None]
-        several, acted = present.sum(0) + self.near + self.planes > 1, 0
+        present = mass > self.contact_mass[:, None, None, None]
+        several, acted = present.sum(0) + self.near_collider + self.planes > 1, 0
         for node in map(tuple, np.argwhere(several & present.any(0))):
             index = (slice(None), *node)
             sides = [
-                _PhaseAtNode(self.dx, phase.surface, phase.least, X, V, m)
+                _PhaseAtNode(self.dx, phase.surface, phase.min_cell_mass, X, V, m)
                 for phase, X, V, m in zip(self.plan.phases, offset[index], volume[index],
                                           mass[index], strict=True)
             ]  # fmt: skip
             phases, u, m = np.flatnonzero(present[index]), v[index], heavy[index]
-            is_pair = len(phases) + self.near[node] + self.planes[node] == 2
+            is_pair = len(phases) + self.near_collider[node] + self.planes[node] == 2
             change, pairs = np.zeros_like(u), []
             for a, b, n, d_a, d_b, friction, stiff, rigid in self._pairs(node, phases, sides, u):
                 distances = {b: d_b} if a is None else {a: d_a, b: d_b}  # of moving ones
@@ -184,9 +188,9 @@ class Contact:
     def _record(self, node: tuple, rigid: tuple, push: np.ndarray) -> None:
         """Record the reaction to an impulse (3,) at a node; rigid: last entry of `_pairs`."""
         row, speed, surface, sign = rigid
-        if self.given is not None and row is not None:
-            position = self.given.points[node] - surface[3] * surface[:3]
-            self.given.add(row, position, sign * push, sign * float(push @ speed))
+        if self.reactions is not None and row is not None:
+            position = self.reactions.points[node] - surface[3] * surface[:3]
+            self.reactions.add(row, position, sign * push, sign * float(push @ speed))
 
     def _prescribed_of(self, a: int, b: int, u: np.ndarray) -> tuple:
         """Return the prescribed body of two phases as in `_pairs`; u: (phases, 3) [m/s]."""
@@ -227,8 +231,8 @@ class Contact:
                         self._prescribed_of(a, b, u),
                     )
         rigid = []
-        if self.near[node]:
-            body = int(self.whose[node]), self.moves[node], self.collider[node], 1.0
+        if self.near_collider[node]:
+            body = int(self.collider_number[node]), self.moves[node], self.collider[node], 1.0
             rigid = [(*self.collider[node], self.friction[node], True, body)]
         for plane in self.active_planes:
             inward = 1.0 - 2.0 * plane.side

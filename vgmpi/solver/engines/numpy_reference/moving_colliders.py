@@ -24,7 +24,7 @@ def nearest_collider(
         velocity of its surface in the step, shape (n, 3) [m/s].
     """
     nodes, moves = np.zeros((len(points), 4)), np.zeros((len(points), 3))
-    whose = np.zeros(len(points), np.int64)
+    collider_number = np.zeros(len(points), np.int64)
     nodes[:, 3] = np.inf
     for m in range(len(table.first)):
         center, R = table.about[m], table.rotation[m]
@@ -38,8 +38,8 @@ def nearest_collider(
         surface = points[closest] - np.clip(distance[chosen], -2 * dx, 2 * dx)[:, None] * normal
         body = (surface - center - table.move[m]) @ R
         end = body @ table.rotation_end[m].T + center + table.move_end[m]
-        moves[closest], whose[closest] = (end - surface) / dt, m
-    return nodes, whose, moves
+        moves[closest], collider_number[closest] = (end - surface) / dt, m
+    return nodes, collider_number, moves
 
 
 def distance_from_colliders(

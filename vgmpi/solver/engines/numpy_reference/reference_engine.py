@@ -79,10 +79,10 @@ class Numpy(SurfaceNodes):
             self.contact.set_rigid(*solids.surface(self.dense.points()))
         self.sharing = None
         if plan.rules is not None:
-            densities = np.array([phase.least for phase in plan.phases]) / plan.dx**3
+            densities = np.array([phase.min_cell_mass for phase in plan.phases]) / plan.dx**3
             self.sharing = MixtureCoupling(plan.rules, densities, self.dense)
         self.sums: ReactionSums | None = None
-        self.apart = any(group.apart for group in plan.groups)
+        self.separates_stress = any(group.separates_stress for group in plan.groups)
         self.carried = CarriedFields(plan, self.dense)
         self.shifting = ParticleShifting(plan, self.dense)
 
@@ -101,7 +101,7 @@ class Numpy(SurfaceNodes):
         Args:
             rows, quanta, rank: See `EngineServices.enable_reactions`.
         """
-        self.sums = self.contact.given = ReactionSums(self.plan, self.dense, rows, quanta)
+        self.sums = self.contact.reactions = ReactionSums(self.plan, self.dense, rows, quanta)
         self.sum_reactions(rows, quanta, rank)
 
     def take_reactions(self) -> np.ndarray:
@@ -133,9 +133,9 @@ class Numpy(SurfaceNodes):
             dt, gravity, speed, shift: See `Engine.begin`.
         """
         self.shifting.constants = shift
-        self.dt, self.gravity, self.mirrors, self.kept = dt, gravity, 1.0, 0.0
+        self.dt, self.gravity, self.mirrors, self.change_share = dt, gravity, 1.0, 0.0
         if self.sums is not None:
-            self.mirrors, self.kept = self.sums.shares(dt)
+            self.mirrors, self.change_share = self.sums.shares(dt)
 
     def pack(self, part: FieldMessage) -> None:
         """Raise an error: there are no other ranks."""
@@ -189,7 +189,7 @@ class Numpy(SurfaceNodes):
             tau = sum_cell_pressure(into.pressure, into.stencil, tau)
         separate = split[:, None, None]
         dense.sum_forces(into.momentum, into.stencil, np.where(separate, 0.0, tau))
-        if self.apart:
+        if self.separates_stress:
             dense.sum_forces(into.forces, into.stencil, np.where(separate, tau, 0.0))
             dense.sum(self.counted[p], stencil, np.where(split, J * vol0[:, 0], 0.0)[:, None])
         into.finish()
@@ -202,7 +202,7 @@ class Numpy(SurfaceNodes):
             shear = np.einsum("nab,nb->na", C.reshape(-1, 3, 3), normal)
             dense.sum(self.shear[p], stencil, self.plan.dx * m[:, None] * shear)
         else:
-            volume = plan.share * vol0 * (J[:, None] if plan.apart else 1.0)
+            volume = plan.share * vol0 * (J[:, None] if plan.separates_stress else 1.0)
             dense.sum(self.volume[p], stencil, volume)
             # offset of the particle as seen from the node
             zeros = np.zeros((len(m), 3))
@@ -216,13 +216,13 @@ class Numpy(SurfaceNodes):
             return
         plan, dense, division = self.plan, self.dense, self._division()
         mass, volume, counted = (a[..., 0] for a in (self.mass, self.volume, self.counted))
-        floors = [NODE_MASS_FLOOR * phase.least for phase in plan.phases]
+        floors = [NODE_MASS_FLOOR * phase.min_cell_mass for phase in plan.phases]
         min_mass = np.reshape(floors, (-1, 1, 1, 1))
         mass = np.where(mass > min_mass, mass, 0.0)
         some = mass[..., None] > 0
         summed = np.where(some, self.momentum / np.where(some, mass[..., None], 1.0), 0.0)
         if not self.dt:
-            groups = None if plan.rules is None else plan.rules.as_one
+            groups = None if plan.rules is None else plan.rules.phase_sets
             self.v = summed if groups is None else mean_velocities(summed, mass, groups)
             if division is not None:
                 division.place()
@@ -276,7 +276,7 @@ class Numpy(SurfaceNodes):
         """Tell the contact where moving colliders, divided and attached nodes are."""
         if (division := self.contact.division) is not None:
             division.place()
-            self.contact.set_rigid(division.collider, division.whose, division.moves)
+            self.contact.set_rigid(division.collider, division.collider_number, division.moves)
         elif self.movers is not None:
             table, points = self.movers.table, self.dense.points()
             self.contact.set_rigid(*nearest_collider(table, points, self.dt, self.plan.dx))
@@ -298,7 +298,7 @@ class Numpy(SurfaceNodes):
         if self.sharing is not None:
             fields += [(self.flux, 0.0), (self.drift, 0.0)]
         if self.plan.flip is not None:
-            fields.append((self.change, self.kept))
+            fields.append((self.change, self.change_share))
         return fields
 
     def gather(self, step: int) -> StepReport:

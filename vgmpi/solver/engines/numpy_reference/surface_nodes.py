@@ -45,7 +45,7 @@ class SurfaceNodes(KernelCaller):
         self.plan, self.dense = plan, dense
         self.walls, self.phases = wall_table(plan), phase_table(plan)
         self.surface_fields = fields_near_colliders(plan)  # empty if no such kernel is called
-        self.room = [contact_workspace(len(plan.phases))]
+        self.workspaces = [contact_workspace(len(plan.phases))]
         self.reactions: ReactionAccumulators | None = None
         self.layers: dict[str, BlockField] = {}
         self.dense_fields: dict[str, np.ndarray] = {}
@@ -70,10 +70,10 @@ class SurfaceNodes(KernelCaller):
         self.entries, self.tables = {}, tables
         none = np.zeros(0, np.int64)
         self.blocks = NodeBlocks(
-            tables.first, tables.phase, tables.at, tables.meets, tables.solid,
+            tables.first, tables.phase, tables.coordinates, tables.may_touch, tables.solid,
             np.zeros(len(tables.phase) + 1, np.int64), none,
         )  # fmt: skip
-        block = np.repeat(tables.at, np.diff(tables.first), axis=0)
+        block = np.repeat(tables.coordinates, np.diff(tables.first), axis=0)
         self.inside, index = self.dense.nodes_of_blocks(block)
         phase = np.broadcast_to(tables.phase[:, None], self.inside.shape)
         self.index = phase[self.inside], *index
@@ -81,7 +81,7 @@ class SurfaceNodes(KernelCaller):
         self.layers = {name: BlockField(len(tables.phase)) for name in names}
         if self.reactions is not None:
             self.reactions.set_topology(tables)
-            self.room = self.reactions.attach_to_workspaces(self.room)
+            self.workspaces = self.reactions.attach_to_workspaces(self.workspaces)
 
     def begin_fields(self) -> None:
         """Begin the sums of the fields near surfaces."""
@@ -135,8 +135,8 @@ class SurfaceNodes(KernelCaller):
         """Return the node blocks for what couples them."""
         return NodeState(
             self.layers["momentum"].nodes, self.layers, {}, self.tables, self.blocks,
-            [np.arange(len(self.tables.at))], self.phases, self.walls,
-            [workspace.given for workspace in self.room], self.each, self.call,
+            [np.arange(len(self.tables.coordinates))], self.phases, self.walls,
+            [workspace.reactions for workspace in self.workspaces], self.each, self.call,
         )  # fmt: skip
 
     def dense_marks(self, marks: np.ndarray) -> np.ndarray:
