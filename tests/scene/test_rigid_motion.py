@@ -32,7 +32,7 @@ class One:
     def __init__(self, pivot=(0.0, 0.0, 0.0), **keys):
         self.all = Trajectories([Trajectory(Motion(**keys), pivot)])
 
-    def at(self, time):
+    def pose_at(self, time):
         row = self.all.displacements(time)[0]
         return row[:3], row[3]
 
@@ -44,26 +44,26 @@ def test_it_is_where_its_keyframes_say():
     for interpolation in ("cubic", "linear"):
         way = One(keyframes=KEYS, interpolation=interpolation)
         for key in KEYS:
-            translation, angle = way.at(float(key["time"].split()[0]))
+            translation, angle = way.pose_at(float(key["time"].split()[0]))
             assert np.allclose(translation, key["translation"], atol=1e-12)
             assert np.degrees(angle) == pytest.approx(float(key["angle"].split()[0]))
-        assert np.allclose(way.at(9.0)[0], (0, 2, 0)) and np.allclose(way.at(0.0)[0], 0)
+        assert np.allclose(way.pose_at(9.0)[0], (0, 2, 0)) and np.allclose(way.pose_at(0.0)[0], 0)
 
 
 def test_cubic_begins_and_ends_at_rest_and_stays_between_alike():
     way, h = One(keyframes=KEYS), 1e-5
     for time in (h, 4.0 - h):  # it moves by the square of the time from there
         near = 0.0 if time < 1 else 4.0
-        assert np.abs(way.at(time)[0] - way.at(near)[0]).max() < 1e-8
+        assert np.abs(way.pose_at(time)[0] - way.pose_at(near)[0]).max() < 1e-8
     for time in np.linspace(1, 3, 7):
-        assert np.allclose(way.at(time)[0], (1, 0, 0), atol=1e-12)
-    dense = np.array([way.at(t)[0] for t in np.linspace(0, 4, 401)])
+        assert np.allclose(way.pose_at(time)[0], (1, 0, 0), atol=1e-12)
+    dense = np.array([way.pose_at(t)[0] for t in np.linspace(0, 4, 401)])
     assert dense.min() > -1e-12 and dense[:, 0].max() < 1 + 1e-12 and dense[:, 1].max() < 2 + 1e-12
 
 
 def test_linear_has_an_even_pace():
     way = One(keyframes=KEYS, interpolation="linear")
-    assert np.allclose(way.at(0.25)[0], (0.25, 0, 0)) and np.allclose(way.at(3.5)[0], (0.5, 1, 0))
+    assert np.allclose(way.pose_at(0.25)[0], (0.25, 0, 0)) and np.allclose(way.pose_at(3.5)[0], (0.5, 1, 0))
 
 
 def test_velocity_and_angular_velocity_until_the_end_time():
