@@ -97,7 +97,7 @@ def follow(path: Path, overrides: list[str], ranks: list[int], seconds: float, s
     while simulation.time < end:
         if simulation.sorts > sorts:
             sorts = simulation.sorts
-            blocks = simulation.census
+            blocks = simulation.exchange.census
             work = predicted_work(blocks.particles, costs[blocks.group])
             for entry in followed:
                 entry.sorted(*by_block(blocks.key, work, blocks.particles), steps[-1])
@@ -112,7 +112,7 @@ def follow(path: Path, overrides: list[str], ranks: list[int], seconds: float, s
         "title": scene.title or path.name,
         "particles": plan.particles,
         "materials": len({group.material for group in plan.groups}),
-        "blocks": len(np.unique(simulation.census.key)),
+        "blocks": len(np.unique(simulation.exchange.census.key)),
         "steps": simulation.step,
         "time": simulation.time,
         "sorts": simulation.sorts,

@@ -125,7 +125,7 @@ def _without_ball(side: int, water: str) -> str:
 
 def _close(simulation: Simulation) -> int:
     """Return the number of particles at most a block from a body."""
-    chosen = simulation.tables.contributes[NEAR_BODIES[0]]
+    chosen = simulation.exchange.tables.contributes[NEAR_BODIES[0]]
     return int(np.concatenate([group.count for group in simulation.groups])[chosen].sum())
 
 

@@ -19,7 +19,7 @@ from tests.benchmarks.stability_limits import GROWTH, STEPS, Box, largest_stable
 from vgmpi.materials import registry
 from vgmpi.materials.material import law_function
 from vgmpi.runtime.config.schema import SceneError
-from vgmpi.solver.simulation import BlowUp
+from vgmpi.solver.run_outcome import BlowUp
 
 WIDE, HIGH, AIR = 4, 8, 2  # [cells]: both ways, of both bodies together, and above them
 DENSITY, MODULUS = 1000.0, 1e5  # [kg/m3], [Pa] about which both lie

@@ -21,7 +21,7 @@ import numpy as np
 
 from tests.support.launch import OPEN_MPI, ROOT
 from vgmpi.runtime.process_limits import FreeCores
-from vgmpi.solver.run import DONE, STOPPED
+from vgmpi.solver.run_outcome import DONE, STOPPED
 from vgmpi.tools.bench.benchmark_case import BenchError
 
 SCENES = {  # overrides, and the steps of a part

@@ -17,7 +17,8 @@ import numpy as np
 from vgmpi.parallel.communicator import init_communicator
 from vgmpi.scene.loader import load
 from vgmpi.solver.engines.kernel_caller import KernelCaller
-from vgmpi.solver.run import Options, prepared_run
+from vgmpi.solver.run import prepared_run
+from vgmpi.solver.run_options import Options
 
 WARM_UP = 10  # steps that are not counted
 IDLE = ("wait", "write")  # stages that wait for others, or that are not made here

@@ -23,7 +23,8 @@ from vgmpi.solver.compile_kernels import compile_kernels
 from vgmpi.solver.estimates.calibration import LAWS, measure_throughput
 from vgmpi.solver.estimates.pilot_run import default_pilot_run
 from vgmpi.solver.initial_particles import plan_for, prepare
-from vgmpi.solver.run import Options, Runner, prepared_run
+from vgmpi.solver.run import Runner, prepared_run
+from vgmpi.solver.run_options import Options
 
 ROOT = Path(__file__).parents[2] / "runs"
 POURED = "tests/benchmarks/scenes/honey_and_water.toml"

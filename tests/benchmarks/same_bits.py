@@ -14,7 +14,7 @@ import h5py
 
 from tests.support.file_digests import digests
 from tests.support.launch import ROOT, mpirun
-from vgmpi.solver.run import STOPPED
+from vgmpi.solver.run_outcome import STOPPED
 from vgmpi.tools.bench.benchmark_case import BenchError
 
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tests.support.launch import ROOT, mpirun
-from vgmpi.solver.run import STOPPED
+from vgmpi.solver.run_outcome import STOPPED
 from vgmpi.tools.bench.benchmark_case import BenchError
 
 SCENES = ("splash", "snowball", "sandbox", "castle_flood")

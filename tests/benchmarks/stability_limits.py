@@ -23,7 +23,8 @@ from vgmpi.scene.scene import DEFAULT_CFL
 from vgmpi.scene.sections import Transfer
 from vgmpi.solver.diagnostics.conservation import conservation_rows
 from vgmpi.solver.initial_particles import known_of, plan_for
-from vgmpi.solver.simulation import BlowUp, Simulation
+from vgmpi.solver.run_outcome import BlowUp
+from vgmpi.solver.simulation import Simulation
 
 TRANSFERS, PRECISIONS = get_args(Transfer), ("single", "double")
 CELLS = (6, 6, 10)

@@ -14,7 +14,7 @@ from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.gaussians.formats import registry
 from vgmpi.kernels.nodal_fields import momentum
 from vgmpi.runtime import process_limits
-from vgmpi.solver.simulation import BlowUp
+from vgmpi.solver.run_outcome import BlowUp
 
 
 @pytest.fixture

@@ -6,8 +6,8 @@ import pytest
 
 from tests.support.small_scenes import MIXED, write
 from vgmpi.commands import cli, plan_command, rank_supervisor, start
-from vgmpi.commands.core_choice import choose_ranks, expected_particles, predicted_run_seconds
 from vgmpi.commands.flags import parse_arguments
+from vgmpi.commands.start import choose_ranks, expected_particles, predicted_run_seconds
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.launch import describe_stop, launched_by
 from vgmpi.planning.cost.run_estimate import predicted_seconds
@@ -70,7 +70,7 @@ def test_the_time_is_near_that_of_the_plan(path):
 
 def test_a_long_run_takes_all_cores(path, free, asked, capsys):
     words = [str(path), "--set", LONG[0]]
-    assert start.main(words) == 0
+    assert cli.run(words) == 0
     assert asked == [4]
     assert "4 of 4 cores: 4 ranks" in capsys.readouterr().err
 
@@ -78,9 +78,9 @@ def test_a_long_run_takes_all_cores(path, free, asked, capsys):
 def test_other_programs_keep_their_cores(path, free, asked, capsys):
     words = [str(path), "--set", LONG[0]]
     free[0] = 1.9
-    start.main(words)
+    cli.run(words)
     free[0] = 0.6
-    start.main(words)
+    cli.run(words)
     assert asked == [2, words]
     said = capsys.readouterr().err
     assert "2 of 4 cores: 2 ranks; other programs use the rest (--ranks 4 takes them" in said
@@ -131,14 +131,14 @@ def test_the_time_of_a_plan_is_that_on_its_ranks(path, free, monkeypatch, capsys
 )
 def test_what_starts_no_ranks(words, path, free, asked):
     words = [str(path), "--set", LONG[0], *words]
-    start.main(words)
+    cli.run(words)
     assert asked == [words]
 
 
 def test_ranks_of_a_launcher_start_none(path, free, asked, monkeypatch):
     monkeypatch.setenv("OMPI_COMM_WORLD_SIZE", "2")
     words = [str(path), "--set", LONG[0]]
-    start.main(words)
+    cli.run(words)
     assert asked == [words]
     assert launched_by({"PMI_RANK": "0"}) == "mpirun" and launched_by({"SLURM_NTASKS": "1"})
     assert launched_by({"OMPI_ALLOW_RUN_AS_ROOT": "1"}) == ""
@@ -147,16 +147,16 @@ def test_ranks_of_a_launcher_start_none(path, free, asked, monkeypatch):
 def test_without_mpirun_there_are_threads(path, free, asked, monkeypatch, capsys):
     monkeypatch.setattr(rank_supervisor, "find_mpirun", lambda: None)
     words = [str(path), "--set", LONG[0]]
-    start.main(words)
+    cli.run(words)
     assert asked == [[*words, "--threads", "4"]]
     assert "4 of 4 cores: 4 threads, since there is no mpirun here" in capsys.readouterr().err
-    assert start.main([*words, "--ranks", "2"]) == 2
+    assert cli.run([*words, "--ranks", "2"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "--ranks 2: there is no mpirun" in line
 
 
 def test_a_scene_with_errors_is_told_once(path, free, capsys):
-    assert start.main([str(path), "--set", "domain.cell=-1"]) == 2
+    assert cli.run([str(path), "--set", "domain.cell=-1"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "domain.cell" in line
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from vgmpi.commands.core_choice import choose_ranks
+from vgmpi.commands.start import choose_ranks
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.planning.cost.plan_report import format_plan
 from vgmpi.planning.cost.throughput import Throughput

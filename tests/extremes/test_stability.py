@@ -22,7 +22,8 @@ from vgmpi.kernels.transfer import liquid_volume
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.scene.scene import DEFAULT_CFL
 from vgmpi.solver.engines.numpy_reference import liquid_volume as reference_volume
-from vgmpi.solver.simulation import BlowUp, Simulation
+from vgmpi.solver.run_outcome import BlowUp
+from vgmpi.solver.simulation import Simulation
 
 MARGIN, RESTORED = 1.8, 1.5
 LONE_DROP = (

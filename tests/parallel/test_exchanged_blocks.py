@@ -12,7 +12,7 @@ from tests.support.simulate import begin
 def exchanged_without_memory(simulation) -> list[str]:
     """Nodal fields of which a rank sends or receives blocks that it does not store."""
     layers, wrong = simulation.engine.layers, []
-    for exchange in (simulation.halo, simulation.correction_halo):
+    for exchange in (simulation.exchange.halo, simulation.exchange.correction_halo):
         messages = [] if exchange is None else exchange.sends + exchange.receives
         for part in (part for message in messages for part in message.parts):
             layer = layers[part.layer]
@@ -34,7 +34,7 @@ def check(folder, text: str, ranks: int, steps: int, interval: int) -> int:
             if step % interval == 0:
                 simulation.sort()
                 assert exchanged_without_memory(simulation) == []
-                parts += sum(len(message.parts) for message in simulation.halo.sends)
+                parts += sum(len(message.parts) for message in simulation.exchange.halo.sends)
         return parts
 
     return sum(simulated_ranks.run(ranks, job))

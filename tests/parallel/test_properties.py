@@ -21,7 +21,8 @@ from vgmpi.parallel.block_lattice import BlockLattice
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.solver.engines.cpu import Cpu
 from vgmpi.solver.restart.state_io import restore, save
-from vgmpi.solver.simulation import BlowUp, Simulation
+from vgmpi.solver.run_outcome import BlowUp
+from vgmpi.solver.simulation import Simulation
 
 RECUT, OWNERS, WORTH = load_balance.rebalance, load_balance.owners, load_balance.should_rebalance
 
@@ -93,7 +94,7 @@ def look(simulation):
         unused = padding(group)
         assert (group.ids[unused] == -1).all()
         assert (group.xi[:, unused] == 0).all(), "transfers look at the cells of unused places too"
-    tables = simulation.tables
+    tables = simulation.exchange.tables
     return Counter(
         {
             "node blocks of this rank alone": int((~tables.receives_remote).sum()),

@@ -16,7 +16,7 @@ from tests.support.small_scenes import MIXED
 from vgmpi.kernels import reproducible_sums
 from vgmpi.kernels.kernel_arguments import Sums
 from vgmpi.solver.engines import cpu, nodal_field_storage
-from vgmpi.solver.simulation import BlowUp
+from vgmpi.solver.run_outcome import BlowUp
 
 STEPS = 120
 # longer, so that ranks with neighbours have blocks away from these

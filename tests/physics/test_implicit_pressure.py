@@ -55,7 +55,7 @@ def nodal_grid(simulation, values, size):
     """Numbers of node blocks (blocks, 64, size) on the grid of the domain's nodes."""
     grid = np.zeros((*(n + 1 for n in simulation.plan.cells), size))
     offsets = np.stack(np.unravel_index(np.arange(64), (4, 4, 4)), 1)
-    index = 4 * simulation.tables.coordinates[:, None] - 1 + offsets
+    index = 4 * simulation.exchange.tables.coordinates[:, None] - 1 + offsets
     inside = ((index >= 0) & (index <= simulation.plan.cells)).all(2)
     grid[tuple(index[inside].T)] = values[inside]
     return grid

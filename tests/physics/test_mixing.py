@@ -378,7 +378,7 @@ def three(folder, names):
     met = 0
     for _ in range(100):
         simulation.advance(4e-4)
-        met = max(met, int((np.diff(simulation.tables.first) == 3).sum()))
+        met = max(met, int((np.diff(simulation.exchange.tables.first) == 3).sum()))
     return simulation, made, totals(simulation)["momentum"] - before, met
 
 

@@ -175,7 +175,7 @@ def test_surroundings_are_those_of_the_solvers_tables(tmp_path):
     simulation, made = begin(tmp_path, text)
     scene = load(tmp_path / "scene.toml")
     plan = plan_for(scene, known_of(scene, made))
-    tables = simulation.tables
+    tables = simulation.exchange.tables
     for g, group in enumerate(simulation.groups):
         asked = tables.contributes["offsets"][tables.group == g]
         share = group.count[asked].sum() / group.count.sum()
@@ -194,7 +194,7 @@ def test_what_both_reach_are_the_solvers_blocks_of_nodes(tmp_path):
     simulation, made = begin(tmp_path, text)
     scene = load(tmp_path / "scene.toml")
     plan = plan_for(scene, known_of(scene, made))
-    tables = simulation.tables
+    tables = simulation.exchange.tables
     shared = int((np.diff(tables.first) > 1).sum())
     for k in range(2):
         (near,) = plan.surroundings[k].phases

@@ -132,7 +132,8 @@ def test_files_carry_it(tmp_path):
 def test_the_gradient_of_what_turns_and_waves(tmp_path):
     """It is the field's own and gets into a run; without turning and waves there is none."""
     from vgmpi.parallel.communicator import SerialCommunicator
-    from vgmpi.solver.run import Options, prepared_run
+    from vgmpi.solver.run import prepared_run
+    from vgmpi.solver.run_options import Options
 
     keys = "angular_velocity = [1, -2, 3]\n"
     keys += (

@@ -1,7 +1,5 @@
 """Walls without a kind: slip for liquids, separate for the rest; what plan and failure say."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -141,7 +139,7 @@ def test_a_failure_names_the_wall(tmp_path, caplog):
     assert message.endswith("it left the domain: it sank through the bottom wall")
     assert is_way_out(message) and not is_way_out("object 0: its volume ratio J left 0.1 .. 5")
     runner = Runner.__new__(Runner)
-    runner.options = SimpleNamespace(folder=None)
+    runner.files = None
     assert runner._blew_up(message.format("egg")) == 3
     (record,) = caplog.records
     assert record.getMessage().startswith("stopped: object egg, particle ")

@@ -15,7 +15,7 @@ import pytest
 
 import vgmpi
 from tests.support.small_scenes import write
-from vgmpi.commands import cli, run_command
+from vgmpi.commands import cli, run_report
 from vgmpi.io.run_reader import RunReader
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.planning.cost import pilot_result, step_overhead
@@ -28,7 +28,8 @@ from vgmpi.solver.diagnostics import progress
 from vgmpi.solver.estimates import pilot_run as pilot_module
 from vgmpi.solver.estimates.pilot_run import _coarse_step, _snapshot, pilot_run
 from vgmpi.solver.initial_particles import plan_for, prepare
-from vgmpi.solver.run import Options, prepared_run
+from vgmpi.solver.run import prepared_run
+from vgmpi.solver.run_options import Options
 
 PACE = Throughput(70.0, 80.0, "as told")
 FALLS = """
@@ -274,7 +275,7 @@ def test_a_run_tells_its_time_by_it(tmp_path, monkeypatch, capsys):
             super().__init__(run, quiet, left)
             given.append(left)
 
-    monkeypatch.setattr(run_command, "Progress", Seen)
+    monkeypatch.setattr(run_report, "Progress", Seen)
     assert cli.main([str(path), "--pilot", "-o", str(tmp_path / "with")]) == 0
     assert cli.main([str(path), "-o", str(tmp_path / "without")]) == 0
     assert cli.main([str(path), "--pilot", "-q", "-o", str(tmp_path / "quiet")]) == 0

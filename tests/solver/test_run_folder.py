@@ -15,14 +15,14 @@ import vgmpi
 from tests.support.file_digests import files
 from tests.support.launch import PATIENCE, ROOT
 from tests.support.small_scenes import write
-from vgmpi.commands import cli, run_command
+from vgmpi.commands import cli, messages, run_report
 from vgmpi.io import checkpoint, csv_log, file_layout, run_lock, run_reader
 from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.scene.loader import load
 from vgmpi.scene.resume_rules import forbidden_changes
-from vgmpi.solver import run as runs
 from vgmpi.solver import stop_requests
+from vgmpi.solver.restart import resume_point
 from vgmpi.solver.run import Runner
 from vgmpi.solver.stop_requests import Requests
 
@@ -118,7 +118,9 @@ def test_a_resume_asks_once_whose_particles_they_are(scene, monkeypatch):
     assert run(scene, "--stop-after", "3 steps", *NUMPY) == 75
     asked = []
     monkeypatch.setattr(
-        runs, "particle_set_id", lambda path: asked.append(path) or run_reader.particle_set_id(path)
+        resume_point,
+        "particle_set_id",
+        lambda path: asked.append(path) or run_reader.particle_set_id(path),
     )
     assert run(scene, "--resume", *NUMPY) == 0
     assert asked == [scene.parent / "out" / file_layout.GAUSSIANS]
@@ -228,7 +230,7 @@ def test_a_lock_that_is_a_link_is_not_followed(scene, capsys):
 
 def test_a_run_that_comes_to_nothing_leaves_no_folder(scene, capsys, monkeypatch):
     monkeypatch.setattr(
-        cli.process_limits, "available_memory", lambda swap=False: 1 << 40 if swap else 1000
+        messages.process_limits, "available_memory", lambda swap=False: 1 << 40 if swap else 1000
     )
     assert run(scene) == 2
     assert "GiB" in capsys.readouterr().err and not (scene.parent / "out").exists()
@@ -323,7 +325,7 @@ def test_ctrl_c_again_ends_at_once(scene, monkeypatch):
 
 
 def test_ctrl_c_before_the_first_step_ends_at_once(scene, monkeypatch):
-    monkeypatch.setattr(run_command, "Clock", lambda: signal.raise_signal(signal.SIGINT))
+    monkeypatch.setattr(run_report, "Clock", lambda: signal.raise_signal(signal.SIGINT))
     with pytest.raises(KeyboardInterrupt):
         run(scene, *NUMPY)
     assert not list((scene.parent / "out").glob("frames/*"))

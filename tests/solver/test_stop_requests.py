@@ -35,7 +35,7 @@ import importlib, os, signal, sys
 from vgmpi.commands import command_table
 load = importlib.import_module
 def load_late(name, package=None):
-    if name == "vgmpi.commands.start":
+    if name == "vgmpi.commands.cli":
         os.kill(os.getpid(), signal.SIGUSR1)
     return load(name, package)
 importlib.import_module = load_late

@@ -62,38 +62,37 @@ engine.layers.offsets.has_terms B
 engine.scratch.*.real Q
 engine.scratch.*.integers 150
 engine.scratch.*.peak 16
-tables.code S
-tables.group S
-tables.block S 3
-tables.border S
-tables.table S 27
-tables.contributes.momentum S
-tables.contributes.offsets S
-tables.first B+1
-tables.phase B
-tables.coordinates B 3
-tables.may_touch B
-tables.receives_remote B
-tables.solid B
-tables.has_terms.momentum B
-tables.has_terms.offsets B
-census.code S
-census.group S
-census.key S
-census.owner S
-census.particles S
+exchange.tables.code S
+exchange.tables.group S
+exchange.tables.block S 3
+exchange.tables.border S
+exchange.tables.table S 27
+exchange.tables.contributes.momentum S
+exchange.tables.contributes.offsets S
+exchange.tables.first B+1
+exchange.tables.phase B
+exchange.tables.coordinates B 3
+exchange.tables.may_touch B
+exchange.tables.receives_remote B
+exchange.tables.solid B
+exchange.tables.has_terms.momentum B
+exchange.tables.has_terms.offsets B
+exchange.census.code S
+exchange.census.group S
+exchange.census.key S
+exchange.census.owner S
+exchange.census.particles S
 plan.times T
 """
 # at most so many numbers, however large the scene: of phases and walls, and scratch of a node
 FEW = 70
 HANDFUL = (
-    "census.load", "engine.phase_sets", "engine.overflow", "engine.fill_of_nodes",
+    "exchange.census.load", "engine.phase_sets", "engine.overflow", "engine.fill_of_nodes",
     "engine.layers.momentum.bias",
     "engine.layers.momentum.current_bounds", "engine.layers.offsets.bias",
     "engine.layers.offsets.current_bounds",
     "engine.phases", "engine.reports", "engine.workspaces", "engine.step", "engine.walls",
-    "gravity",
-    "needs", "reduction_buffer",
+    "gravity", "exchange.needs", "reduction_buffer",
 )  # fmt: skip
 KERNELS = {
     "particles_to_grid(Momentum, FluidLaw, Segments, Particles, Scratch, None)",
@@ -169,9 +168,13 @@ def simulated(folder, text):
 
 
 def shapes(simulation):
-    """By name, a number in which is a star: the shape of each array that holds anything."""
+    """By name, a number in which is a star: the shape of each array that holds anything.
+
+    The engine has the tables of the exchange, too."""
     return {
-        re.sub(r"\.\d+(?=\.|$)", ".*", name): array.shape
+        re.sub(r"\.\d+(?=\.|$)", ".*", name).replace(
+            "engine.tables", "exchange.tables"
+        ): array.shape
         for name, array in reachable_arrays.arrays(simulation).items()
         if array.size
     }
@@ -181,7 +184,7 @@ def parts(names):
     """What arrays belong to, in a word or three."""
     found = set()
     for name in names:
-        words = [word for word in name.split(".") if word != "*"]
+        words = [word for word in name.split(".") if word not in ("*", "exchange")]
         wide = words[0] in ("engine", "tables", "needs", "plan", "features")
         deep = wide and words[1] in (
             "layers",
@@ -207,7 +210,7 @@ def plain(tmp_path_factory):
 
 def test_every_array_of_one_fluid_in_a_box(plain):
     simulation, _ = plain
-    group, tables = simulation.groups[0], simulation.tables
+    group, tables = simulation.groups[0], simulation.exchange.tables
     sizes = {
         "S": len(group.start),
         "B": len(tables.coordinates),
@@ -226,7 +229,7 @@ def test_every_array_of_one_fluid_in_a_box(plain):
     small = {name for name in found if name.startswith(HANDFUL) and name not in expected}
     assert {name: found[name] for name in found if name not in small} == expected
     assert all(np.prod(found[name]) <= FEW for name in small)
-    assert not simulation.halo.sends and not simulation.halo.receives
+    assert not simulation.exchange.halo.sends and not simulation.exchange.halo.receives
 
 
 def test_every_kernel_of_one_fluid_in_a_box(plain):

@@ -35,7 +35,7 @@ def test_tables_are_those_of_a_run(tmp_path, ranks):
         home = tmp_path / f"{r.rank}"
         home.mkdir()
         simulation, _ = begin(home, CUBE, r)
-        tables, halo = simulation.tables, simulation.halo
+        tables, halo = simulation.exchange.tables, simulation.exchange.halo
         return len(tables.code), tables.receives_remote.sum(), halo.bytes_sent, len(halo.sends)
 
     found = np.array(simulated_ranks.run(ranks, job)).max(0)

@@ -3,6 +3,7 @@
 The module of a subcommand is imported when the subcommand is called.
 """
 
+import contextlib
 import importlib
 import os
 import platform
@@ -25,7 +26,9 @@ class Command(NamedTuple):
 
 
 COMMANDS = {
-    "run": Command("vgmpi.commands.start", "run a scene; `vgmpi scene.toml` does the same"),
+    "run": Command(
+        "vgmpi.commands.cli", "run a scene; `vgmpi scene.toml` does the same", function="run"
+    ),
     "check": Command("vgmpi.commands.cli", "check a scene file and write nothing", ("--check",)),
     "plan": Command("vgmpi.commands.cli", "estimate memory and time of a scene", ("--plan",)),
     "prepare": Command(
@@ -89,26 +92,26 @@ def main(argv: list[str]) -> int:
         print(f"vgmpi: {problem}", file=sys.stderr)
         return EXIT_USAGE
     name, words = (argv[0], argv[1:]) if argv and argv[0] in COMMANDS else ("run", argv)
+    command = COMMANDS[name]
+    with _signals_held(name):
+        try:
+            module = importlib.import_module(command.module)
+        except ModuleNotFoundError as error:
+            if error.name and error.name.startswith("vgmpi"):
+                raise
+            print(f"vgmpi {name}: the package {error.name} is not installed", file=sys.stderr)
+            return EXIT_USAGE
+        flags = () if {"-h", "--help"} & set(words) else command.flags
+        return getattr(module, command.function)([*flags, *words])
+
+
+def _signals_held(name: str) -> contextlib.AbstractContextManager[None]:
+    """Return what holds the signal that stops a run until the run takes it; of others nothing."""
     if name != "run":
-        return _run(name, words)
+        return contextlib.nullcontext()
     from vgmpi.solver.stop_requests import stop_signal_held  # not for --help of the others
 
-    with stop_signal_held():
-        return _run(name, words)
-
-
-def _run(name: str, words: list[str]) -> int:
-    """Run a subcommand with the words of its command line; return the exit code."""
-    command = COMMANDS[name]
-    try:
-        module = importlib.import_module(command.module)
-    except ModuleNotFoundError as error:
-        if error.name and error.name.startswith("vgmpi"):
-            raise
-        print(f"vgmpi {name}: the package {error.name} is not installed", file=sys.stderr)
-        return EXIT_USAGE
-    flags = () if {"-h", "--help"} & set(words) else command.flags
-    return getattr(module, command.function)([*flags, *words])
+    return stop_signal_held()
 
 
 def _suggest_command(argv: list[str]) -> str:

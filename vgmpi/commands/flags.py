@@ -160,6 +160,12 @@ def parse_arguments(argv: list[str] | None) -> argparse.Namespace:
     return args
 
 
+def is_run(args: argparse.Namespace) -> bool:
+    """Return whether the flags ask for a run of a scene."""
+    is_other = args.check or args.plan or args.prepare or args.inspect is not None
+    return args.scene is not None and not is_other
+
+
 def _amount(text: str) -> tuple[int, float]:
     """Return (steps, seconds) of "500 steps", "90 s", "10 min", "2 h"; else raise ValueError."""
     if not text:

@@ -1,4 +1,4 @@
-"""Plan of a scene without a run: its time on as many ranks as a run takes by itself."""
+"""Plan of a scene without a run, and the speed of this processor on which it is based."""
 
 import argparse
 from pathlib import Path
@@ -6,17 +6,19 @@ from pathlib import Path
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.launch import launched_by
 from vgmpi.planning.cost.plan_report import format_plan
+from vgmpi.planning.plan import FLOAT_TYPES
 from vgmpi.runtime.process_limits import physical_cores
 from vgmpi.scene.resume_rules import with_accuracy_of_run
 from vgmpi.scene.scene import Scene
 from vgmpi.solver import initial_particles
 from vgmpi.solver.estimates import calibration
 from vgmpi.solver.estimates.pilot_run import default_pilot_run, pilot_run
-from vgmpi.solver.run import resolve_checkpoint
+from vgmpi.solver.restart.resume_point import resolve_checkpoint
+from vgmpi.solver.run_options import check_engine
 
-from .cli import card_module
-from .core_choice import choose_ranks
+from .messages import card_module
 from .rank_supervisor import find_mpirun
+from .start import choose_ranks
 
 
 def describe_plan(
@@ -31,8 +33,9 @@ def describe_plan(
         ranks: Communicator.
 
     Raises:
-        SceneError, CheckpointError.
+        SceneError, CheckpointError, InvalidRunOptions.
     """
+    check_engine(args.engine, scene)
     start_time = 0.0
     if args.resume is not None:
         attrs = resolve_checkpoint(args.resume, folder, ranks)[1]
@@ -80,3 +83,14 @@ def planned_ranks(
     if find_mpirun() is None:
         return 1, f"there is no mpirun here: a run takes {choice.ranks} threads"
     return choice.ranks, f"{used}, which a run takes by itself if they are free"
+
+
+def calibrate(ranks: SerialCommunicator) -> int:
+    """Measure this processor in every precision; return the exit code."""
+    for precision in FLOAT_TYPES if ranks.rank == 0 else ():
+        pace = calibration.host_throughput(precision, remeasure=True)
+        print(
+            f"{precision:6s}  {pace.fluid:.1f} ns per particle and step of a fluid,"
+            f" {pace.elastic:.1f} elastic: {pace.origin}"
+        )
+    return 0

@@ -12,13 +12,20 @@ ranks that disagree stop instead of adding the wrong numbers. The engine packs a
 """
 
 import zlib
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Collection, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from .block_lattice import BlockLattice
+from .block_ownership import BlockDirectory
 from .communicator import SerialCommunicator
-from .exchange_topology import ExchangeTopology, SharedNodes
+from .exchange_topology import (
+    ExchangeTopology,
+    SharedNodes,
+    TopologyRequirements,
+    build_topology,
+)
 
 _HEADER = 2  # [words] length of a message's header
 
@@ -124,3 +131,68 @@ def _node_list(tables: ExchangeTopology, blocks, masks) -> bytes:
     block = np.searchsorted(tables.first, blocks, side="right") - 1
     rows = np.column_stack([tables.coordinates[block], tables.phase[blocks], masks.view(np.int64)])
     return np.ascontiguousarray(rows, np.int64).tobytes()
+
+
+class GridExchange:
+    """Exchange tables of this rank and the messages by them.
+
+    Attributes:
+        needs: What the plan requires of the tables.
+        census: Directory of all blocks, their ranks and the segments of particles.
+        tables: Tables of the nodes that this rank holds.
+        halo: Messages of a step; None before particles are inserted.
+        correction_halo: Messages of zero-length steps; None without such steps.
+        bytes_sent: Bytes sent to neighbors by this rank.
+    """
+
+    def __init__(
+        self, needs: TopologyRequirements, lattice: BlockLattice, ranks: SerialCommunicator,
+        colliders: Any, words: int, has_timeless_steps: bool,
+    ):  # fmt: skip
+        """Begin without tables: they need particles.
+
+        Args:
+            needs: What the plan requires of the tables.
+            lattice: Lattice of the blocks.
+            ranks: Communicator.
+            colliders: Colliders at the nodes.
+            words: Doubles per sum.
+            has_timeless_steps: Whether there are zero-length steps.
+        """
+        self.needs, self.lattice, self.ranks = needs, lattice, ranks
+        self.colliders, self.words = colliders, words
+        self.has_timeless_steps = has_timeless_steps
+        self.tables: ExchangeTopology
+        self.census: BlockDirectory
+        self.halo: HaloExchange | None = None
+        self.correction_halo: HaloExchange | None = None
+        self.bytes_sent = 0
+
+    def set_directory(self, census: BlockDirectory, features: Collection[Any]) -> bool:
+        """Build tables and messages for a directory; return whether the old ones hold for it.
+
+        They do if they are the same, also near features.
+
+        Args:
+            census: Directory of all blocks, with the segments that the groups hold.
+            features: Features of the run (features/active_feature.py).
+        """
+        unchanged = self.halo is not None and self.census.has_segments_of(census)
+        unchanged &= all(feature.is_fixed for feature in features)
+        self.census = census
+        if not unchanged:
+            self.tables = build_topology(
+                census, self.lattice, self.ranks.rank, self.needs, self.colliders, features
+            )
+            for feature in features:
+                feature.set_topology(self.tables, census)
+            self.halo = self._open(self.halo, self.needs.step_layers)
+            if self.has_timeless_steps:
+                self.correction_halo = self._open(self.correction_halo, self.needs.timeless_layers)
+        return unchanged
+
+    def _open(self, before: HaloExchange | None, fields: Sequence[str]) -> HaloExchange:
+        """Return the messages of the fields by the present tables; the old ones are closed."""
+        if before is not None:
+            before.link.close()
+        return HaloExchange(self.ranks, self.tables, self.words, fields)

@@ -21,7 +21,8 @@ from vgmpi.runtime.cpu_features import processor
 from vgmpi.solver.diagnostics.conservation import body_momentum, conservation_rows
 
 from .compile_helper import count_helpers, helpers_of
-from .simulation import BlowUp, Simulation
+from .run_outcome import BlowUp
+from .simulation import Simulation
 
 log = logging.getLogger("vgmpi")
 
@@ -198,7 +199,7 @@ def _run(plan: Plan, calls: list[tuple] | None) -> None:
     for group in simulation.groups:
         body_momentum(simulation, group, 0, 0)
     empty, masks = np.zeros(0, np.uint64), np.zeros(0, np.uint64)
-    for name in simulation.needs.layers:
+    for name in simulation.exchange.needs.layers:
         part = FieldMessage(name, np.zeros(0, np.int64), masks, empty, np.zeros(0, np.uint16))
         simulation.engine.pack(part)
         simulation.engine.add(part)

@@ -40,7 +40,7 @@ def failure_message(simulation: Any, report: StepReport) -> str:
         if reason == g2p.OUT_OF_DOMAIN:
             message = _way_out(simulation, worst) or message
         return f"object {{{owner}}}, particle {worst}, {when}: {message}"
-    fields = simulation.needs.layers
+    fields = simulation.exchange.needs.layers
     local = [(*over.block, over.phase, fields.index(over.field)) for over in report.overflows]
     rows = ranks.all_rows(np.array(local, np.int64).reshape(-1, 5))
     if not len(rows):  # equal on all ranks

@@ -11,6 +11,7 @@ from vgmpi.scene.scene import Scene
 from vgmpi.scene.scene_feature import features
 
 from .engine_registry import CARD, ENGINES
+from .run_outcome import InvalidRunOptions
 
 
 @dataclass
@@ -37,10 +38,6 @@ LACKS = {
     },
 }  # fmt: skip
 MAX_THREADS_PER_CORE, MIN_THREAD_LIMIT = 4, 32  # more would take memory for nothing
-
-
-class InvalidRunOptions(ValueError):
-    """Error of options that exclude each other or do not suit the ranks."""
 
 
 def check(options: Options, ranks: SerialCommunicator) -> None:

@@ -19,26 +19,21 @@ from vgmpi.kernels.step_records import (
 )
 from vgmpi.kernels.transfer import g2p
 from vgmpi.kernels.transfer.particle_shifting import MAX_SHIFT_CELLS
-from vgmpi.materials.couplings.interaction import CONTACT, MIXING
-from vgmpi.parallel import exchange_topology, migration
+from vgmpi.parallel import migration
 from vgmpi.parallel.block_lattice import BlockLattice
 from vgmpi.parallel.block_ownership import BlockDirectory
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.parallel.halo_exchange import HaloExchange
+from vgmpi.parallel.halo_exchange import GridExchange, HaloExchange
 from vgmpi.parallel.load_balance import SHARES, RankPace
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.plan import Plan
 from vgmpi.solver.engines.engine_protocol import Engine
-from vgmpi.solver.engines.nodal_field_storage import field_requests
+from vgmpi.solver.engines.plan_tables import topology_requirements
 from vgmpi.solver.engines.shift_tables import shift_constants
-from vgmpi.solver.engines.surface_fields import is_summed_at_surfaces
 
 from .engine_registry import engine_of
 from .failure_message import failure_message
-
-
-class BlowUp(RuntimeError):
-    """Error of a state that can no longer be trusted; it names object, particle and step."""
+from .run_outcome import BlowUp
 
 
 class Simulation:
@@ -75,19 +70,17 @@ class Simulation:
         start_features(context, self.features)
         self.engine.features = self.features
         self.gravity = np.array(plan.gravity)
-        self.needs = topology_requirements(plan)
-        self.tables: exchange_topology.ExchangeTopology
-        self.census: BlockDirectory
+        self.exchange = GridExchange(
+            topology_requirements(plan), self.lattice, ranks, self.collider_nodes,
+            self.engine.words, bool(plan.correction_interval or plan.shift_interval),
+        )  # fmt: skip
         self.cut: np.ndarray | None = None
-        self.halo: HaloExchange | None = None
-        self.correction_halo: HaloExchange | None = None  # exchange of zero-length steps
         self.time, self.step, self.rate, self.particle_maxima = 0.0, 0, 0.0, UNKNOWN_MAXIMA
         # the next shift must leave particles in their patches
         margin = 1.2 * MAX_SHIFT_CELLS if plan.shift_interval else 0.0
         margin += sum(1.2 * feature.margin for feature in self.features.values())
         self.max_stray = g2p.MAX_STRAY_CELLS - margin
         self.sorts = self.sorted_at = 0
-        self.sent = 0  # [bytes] sent to neighbors by this rank
         self.moved = 0  # particles that left this rank for another
         self.clock: Callable[[str], None] | None = None  # marks the end of a stage
 
@@ -154,39 +147,14 @@ class Simulation:
         self.sorts += 1
 
     def set_directory(self, census: BlockDirectory) -> None:
-        """Build the exchange tables for a directory, whose segments the groups already hold.
-
-        The old tables are reused if they are the same, also near features.
-        """
-        features = self.features.values()
-        unchanged = self.halo is not None and self.census.has_segments_of(census)
-        unchanged &= all(feature.is_fixed for feature in features)
-        self.census = census
-        if not unchanged:
-            self.tables = exchange_topology.build_topology(
-                census, self.lattice, self.ranks.rank, self.needs, self.collider_nodes, features
-            )
-            for feature in features:
-                feature.set_topology(self.tables, census)
-        self.find_particles(unchanged)
-        if not unchanged:
-            self.halo = self._exchange(self.halo, self.needs.step_layers)
-            if self.plan.correction_interval or self.plan.shift_interval:
-                self.correction_halo = self._exchange(
-                    self.correction_halo, self.needs.timeless_layers
-                )
+        """Build the exchange tables for a directory, whose segments the groups already hold."""
+        self.find_particles(self.exchange.set_directory(census, self.features.values()))
 
     def find_particles(self, unchanged: bool = True) -> None:
         """Tell engine and features of the segments; `unchanged` if the tables are the same."""
-        self.engine.set_topology(self.tables, unchanged)
+        self.engine.set_topology(self.exchange.tables, unchanged)
         for feature in self.features.values():
             feature.find_particles(self.time)
-
-    def _exchange(self, before: HaloExchange | None, fields: Sequence[str]) -> HaloExchange:
-        """Return the exchange of the fields by the present tables; the old one is closed."""
-        if before is not None:
-            before.link.close()
-        return HaloExchange(self.ranks, self.tables, self.engine.words, fields)
 
     def object_of(self, ids: np.ndarray) -> np.ndarray:
         """Return the object of each particle; ids of one object are consecutive."""
@@ -200,7 +168,7 @@ class Simulation:
     @property
     def load(self) -> np.ndarray:
         """Predicted work of each rank (ranks,) at the last sort, in steps of one fluid particle."""
-        return self.census.load / SHARES
+        return self.exchange.census.load / SHARES
 
     # ---- a step ----------------------------------------------------------------------------------
 
@@ -241,7 +209,7 @@ class Simulation:
         speed = sum(feature.push_particles(span) for feature in features.values())
         gravity = self._gravity_in(span)
         engine.begin(dt, gravity, self.particle_maxima.fastest(self.plan, dt, speed))
-        self._update_grid(self.halo)  # x, v, C, state at n -> nodal velocities at n + 1
+        self._update_grid(self.exchange.halo)  # x, v, C, state at n -> nodal velocities at n + 1
         self._couple_nodes(span, gravity)
         report = engine.gather(self.step)  # v, C, x, state at n + 1
         report.overflows.extend(overflows)
@@ -296,7 +264,7 @@ class Simulation:
             shift = shift_constants(self.plan, self.plan.shift_interval * dt, self.step)
         fastest = self.particle_maxima.fastest(self.plan, dt, 0.0)
         self.engine.begin(0.0, np.zeros(3), fastest, shift)
-        self._update_grid(self.correction_halo)
+        self._update_grid(self.exchange.correction_halo)
         overflows = self.engine.correct_transfers(self.plan.correction_interval if corrects else 0)
         for feature in self.features.values():
             feature.end_correction(self.time)
@@ -327,7 +295,7 @@ class Simulation:
         mark("halo")
         engine.update(border=True)
         mark("grid")
-        self.sent += halo.bytes_sent
+        self.exchange.bytes_sent += halo.bytes_sent
 
     def _couple_nodes(self, span: StepSpan, gravity: np.ndarray) -> None:
         """Let features change the nodal velocities at n + 1."""
@@ -354,43 +322,3 @@ class Simulation:
         bounds = ParticleBounds(float(rate), float(speed), float(turn), float(stress))
         of_features = dict(zip(asking, others[count:], strict=True))
         return StepMaxima(bounds, stray, bool(failed), np.array(others[:count]), of_features)
-
-
-def topology_requirements(plan: Plan) -> exchange_topology.TopologyRequirements:
-    """Return the requirements of the plan for the exchange tables."""
-    return exchange_topology.TopologyRequirements(
-        np.array([group.phase for group in plan.groups], np.int64),
-        plan.contact,
-        _separate_stress(plan),
-        tuple(request.place(plan) for request in field_requests(plan)),
-        np.array([phase.surface for phase in plan.phases]),
-        plan.planes,
-        is_summed_at_surfaces(plan),
-        _phases_in_contact(plan),
-    )
-
-
-def _phases_in_contact(plan: Plan) -> np.ndarray:
-    """Return the phases whose fields near surfaces are summed near other phases, too, or no rows.
-
-    Returns:
-        Shape (phases,) bool, or (0,) if there are none.
-    """
-    rows = sorted(frozenset().union(*(each.phases_in_contact for each in plan.features)))
-    return np.isin(np.arange(len(plan.phases)), rows) if rows else np.zeros(0, bool)
-
-
-def _separate_stress(plan: Plan) -> bool | exchange_topology.MixtureProximity:
-    """Return where stress impulses are summed separately: with FLIP and in mixtures."""
-    rules = plan.rules
-    if rules is None:
-        return plan.flip is not None
-    same_mixture = rules.mixture_set[:, None] == rules.mixture_set[None, :]
-    shares_space = (
-        same_mixture & (rules.mixture_set >= 0)[:, None] & ~np.eye(len(same_mixture), dtype=bool)
-    )
-    needs_contact = (rules.pair == CONTACT) & ~np.eye(len(same_mixture), dtype=bool)
-    needs_contact |= (rules.pair == MIXING) & rules.drifting[:, None]
-    return exchange_topology.MixtureProximity(
-        shares_space, needs_contact, rules.fluid, plan.flip is not None
-    )

@@ -42,7 +42,7 @@ def liquid_fill(simulation: Simulation) -> dict[int, LiquidFill]:
     plan, phases = simulation.plan, liquid_phases(simulation.plan)
     if not phases:
         return {}
-    tables, ranks = simulation.tables, simulation.ranks
+    tables, ranks = simulation.exchange.tables, simulation.ranks
     sums = np.zeros((len(tables.phase), 64), np.int64)
     for g, group in enumerate(simulation.groups):
         if group.plan.phase in phases:
@@ -113,7 +113,7 @@ def add_remote_sums(simulation: Simulation, sums: np.ndarray, to_all: bool = Fal
         sums: Sums of the node blocks (in/out), shape (node blocks, 64).
         to_all: Add the sums of all ranks, at all nodes that this rank's particles reach.
     """
-    tables, ranks = simulation.tables, simulation.ranks
+    tables, ranks = simulation.exchange.tables, simulation.ranks
     block = np.repeat(np.arange(len(tables.coordinates)), np.diff(tables.first))
     place = np.column_stack([tables.coordinates[block], tables.phase])
     rows, to = [np.zeros((0, 68), np.int64)], [np.zeros(0, np.int64)]

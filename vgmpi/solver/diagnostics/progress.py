@@ -174,7 +174,7 @@ def timing_table(run: Runner, clock: Clock) -> str:
                 " programs use the cores, or there are more ranks than cores or work"
             )
         lines.append(f"  imbalance  {maximum:.3f} (largest rank's predicted work over the mean)")
-        sent = simulation.sent / steps / 1e3
+        sent = simulation.exchange.bytes_sent / steps / 1e3
         lines.append(f"  sorts      {simulation.sorts}, halo {sent:.0f} kB per step from rank 0")
     if run.initial_conservation and run.latest_conservation:
         lines.append(
@@ -205,11 +205,11 @@ def rank_profile(run: Runner, clock: Clock) -> str:
     """
     simulation, ranks = run.simulation, run.ranks
     steps = max(1, simulation.step - run.first_step)
-    neighbours = len(simulation.halo.sends) if simulation.halo is not None else 0
+    neighbours = len(simulation.exchange.halo.sends) if simulation.exchange.halo is not None else 0
     local = [
         ranks.rank, sum(len(group) for group in simulation.groups),
         simulation.load[ranks.rank] / (simulation.load.mean() or 1.0), *clock.spent.values(),
-        neighbours, simulation.sent / steps, simulation.moved, clock.startup,
+        neighbours, simulation.exchange.bytes_sent / steps, simulation.moved, clock.startup,
         clock.startup_cpu,
     ]  # fmt: skip
     rows = ranks.gather_rows(np.array([local], np.float64))

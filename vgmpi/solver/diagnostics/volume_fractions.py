@@ -30,7 +30,7 @@ def volume_fractions(simulation: Simulation) -> list[np.ndarray]:
     """
     plan, rules = simulation.plan, simulation.plan.rules
     assert rules is not None
-    sums = np.zeros((len(simulation.tables.phase), 64), np.int64)
+    sums = np.zeros((len(simulation.exchange.tables.phase), 64), np.int64)
     for g, group in enumerate(simulation.groups):
         if rules.mixture_set[group.plan.phase] >= 0:
             units = _current_volumes(group, bool(rules.fluid[group.plan.phase])) / plan.dx**3
@@ -77,7 +77,7 @@ def _stencil_nodes(
         whether the node is one of the segment's (all are, in a state that can be trusted); each of
         shape (n,).
     """
-    group, tables = simulation.groups[g], simulation.tables
+    group, tables = simulation.groups[g], simulation.exchange.tables
     segment = np.repeat(np.arange(len(group.start)), group.count)
     table = tables.table[tables.group == g][segment]
     x = group.positions() / simulation.plan.dx
@@ -106,7 +106,7 @@ def _node_fractions(simulation: Simulation, sums: np.ndarray) -> np.ndarray:
         simulation: The simulation.
         sums: Volumes of all ranks in units of 1 / CELL_UNITS of a cell, shape (node blocks, 64).
     """
-    tables, rules = simulation.tables, simulation.plan.rules
+    tables, rules = simulation.exchange.tables, simulation.plan.rules
     assert rules is not None
     block = np.repeat(np.arange(len(tables.coordinates)), np.diff(tables.first))
     capacity = cell_capacity(simulation.plan, tables.coordinates)

@@ -1,12 +1,17 @@
-"""Tables of a plan that kernels read: walls, phases, and how far particles may be from a block."""
+"""Tables of a plan that kernels and the exchange of nodal sums read: walls, phases, fields."""
 
 import numpy as np
 
 from vgmpi.kernels.grid.divided_nodes import Phases
 from vgmpi.kernels.kernel_arguments import Walls
 from vgmpi.kernels.wall_boundary import KINDS, SEPARATE, YIELDING
+from vgmpi.materials.couplings.interaction import CONTACT, MIXING
+from vgmpi.parallel.exchange_topology import MixtureProximity, TopologyRequirements
 from vgmpi.planning.phases_and_groups import PhasePlan
 from vgmpi.planning.plan import Plan
+
+from .nodal_field_storage import field_requests
+from .surface_fields import is_summed_at_surfaces
 
 
 def wall_table(plan: Plan) -> Walls:
@@ -47,3 +52,41 @@ def phase_table(plan: Plan) -> Phases:
 def phase_sets(plan: Plan) -> np.ndarray:
     """Return the number of the set with one velocity that each phase is in, -1 for none."""
     return np.full(len(plan.phases), -1) if plan.rules is None else plan.rules.phase_sets
+
+
+def topology_requirements(plan: Plan) -> TopologyRequirements:
+    """Return the requirements of the plan for the exchange tables."""
+    return TopologyRequirements(
+        np.array([group.phase for group in plan.groups], np.int64),
+        plan.contact,
+        _separate_stress(plan),
+        tuple(request.place(plan) for request in field_requests(plan)),
+        np.array([phase.surface for phase in plan.phases]),
+        plan.planes,
+        is_summed_at_surfaces(plan),
+        _phases_in_contact(plan),
+    )
+
+
+def _phases_in_contact(plan: Plan) -> np.ndarray:
+    """Return the phases whose fields near surfaces are summed near other phases, too, or no rows.
+
+    Returns:
+        Shape (phases,) bool, or (0,) if there are none.
+    """
+    rows = sorted(frozenset().union(*(each.phases_in_contact for each in plan.features)))
+    return np.isin(np.arange(len(plan.phases)), rows) if rows else np.zeros(0, bool)
+
+
+def _separate_stress(plan: Plan) -> bool | MixtureProximity:
+    """Return where stress impulses are summed separately: with FLIP and in mixtures."""
+    rules = plan.rules
+    if rules is None:
+        return plan.flip is not None
+    same_mixture = rules.mixture_set[:, None] == rules.mixture_set[None, :]
+    shares_space = (
+        same_mixture & (rules.mixture_set >= 0)[:, None] & ~np.eye(len(same_mixture), dtype=bool)
+    )
+    needs_contact = (rules.pair == CONTACT) & ~np.eye(len(same_mixture), dtype=bool)
+    needs_contact |= (rules.pair == MIXING) & rules.drifting[:, None]
+    return MixtureProximity(shares_space, needs_contact, rules.fluid, plan.flip is not None)

@@ -27,8 +27,10 @@ from vgmpi.scene.loader import load_again
 from vgmpi.scene.scene import Scene
 from vgmpi.solver.compile_kernels import is_compiled
 from vgmpi.solver.initial_particles import ParticleSummary
-from vgmpi.solver.run import Options, Runner, prepared_run
-from vgmpi.solver.simulation import BlowUp, Simulation
+from vgmpi.solver.run import Runner, prepared_run
+from vgmpi.solver.run_options import Options
+from vgmpi.solver.run_outcome import BlowUp
+from vgmpi.solver.simulation import Simulation
 
 from .measure_proximity import blocks_at, measure_proximity
 

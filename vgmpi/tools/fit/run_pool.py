@@ -26,8 +26,7 @@ from vgmpi.runtime.command_line import DENIED, FULL
 from vgmpi.runtime.config.schema import SceneError
 from vgmpi.scene.loader import load
 from vgmpi.scene.scene import Scene
-from vgmpi.solver.run import BLEW_UP, DONE
-from vgmpi.solver.simulation import BlowUp
+from vgmpi.solver.run_outcome import BLEW_UP, DONE, BlowUp
 from vgmpi.tools.tradeoff.parameter_sweep import Setting
 from vgmpi.tools.tradeoff.study_runs import StudyError, run_program
 
