@@ -106,11 +106,11 @@ direction = "{axis}"
 speed = 1
 phase = "clay"
 """
-    (direction,) = [inlet.direction for inlet in scene(tmp_path, ROOM + BALL + tap).inlet]
+    (direction,) = [inlet.direction for inlet in scene(tmp_path, ROOM + BALL + tap).lists["inlet"]]
     sign, name = -1.0 if axis[0] == "-" else 1.0, axis[-1]
     assert direction == tuple(sign * (name == a) for a in "xyz")
     default = tap.replace(f'direction = "{axis}"\n', "")
-    assert scene(tmp_path, ROOM + BALL + default).inlet[0].direction == (0.0, 0.0, -1.0)
+    assert scene(tmp_path, ROOM + BALL + default).lists["inlet"][0].direction == (0.0, 0.0, -1.0)
 
 
 BOWL = Shape.model_validate(
@@ -236,7 +236,7 @@ def test_a_resumed_run_keeps_its_precision(tmp_path, capsys):
 
 def test_texts_of_objects_are_short(tmp_path):
     made = scene(tmp_path, ROOM.replace("end = 1", "end = 0.002") + BALL)
-    assert repr(made) == "<Scene 'scene.toml': 1 bodies, 0 inlets, 20 x 20 x 20 cells, 0.002 s>"
+    assert repr(made) == "<Scene 'scene.toml': 1 bodies, 20 x 20 x 20 cells, 0.002 s>"
     run = vgmpi.run(made, tmp_path / "out")
     assert repr(run).startswith("<Run done at 0.002 s, step ")
     assert repr(vgmpi.read(tmp_path / "out")).endswith("out': 50 frames>")

@@ -11,7 +11,7 @@ is let go .2 cells earlier.
 import numpy as np
 import pytest
 
-from tests.support.simulate import advance, begin, by_id, totals
+from tests.support.simulate import advance, begin, by_id, inlets_of, totals
 from tests.support.validation_record import held
 
 DX, U, G = 0.02, 1.25, 9.8
@@ -50,19 +50,19 @@ def jet(tmp_path_factory):
 
 def passed(simulation):
     """Particles that have passed the mouth by now, as they should be counted."""
-    (inlet,) = simulation.plan.sources
+    (inlet,) = inlets_of(simulation.plan)
     flow = len(inlet.mouth) * U / inlet.spacing
     return max(int(np.floor((simulation.time - START) * flow + 0.5)), 0)
 
 
 def test_a_jet_falls_on_a_parabola(jet):
-    (inlet,) = jet.plan.sources
+    (inlet,) = inlets_of(jet.plan)
     n = len(inlet.mouth)
     for time in (0.005, 0.05, 0.11, 0.2, 0.31, END):
         advance(jet, time)
         ids, x = by_id(jet, "id", "x")
         behind = x[:, 0] <= MOUTH[0]
-        ((came, _, went, _),) = jet.features["flow_accounting"].totals()
+        ((came, _, went, _),) = jet.features["inlets_outlets"].flow.totals()
         assert (~behind).sum() + went == passed(jet)
         assert came == inlet.spawned(time) and len(ids) == came - went
         # what is carried lies on its lattice to rounding, and what is let go behind the mouth near
@@ -96,7 +96,7 @@ def test_a_jet_is_dense_from_its_first_cell(jet):
     """Particles in the first three cells, and their volumes."""
     advance(jet, END) if jet.time < END else None
     x, J = by_id(jet, "x", "J")
-    (inlet,) = jet.plan.sources
+    (inlet,) = inlets_of(jet.plan)
     near = (x[:, 0] > MOUTH[0]) & (x[:, 0] < MOUTH[0] + 3 * DX)
     wanted = len(inlet.mouth) * 3 * DX / inlet.spacing
     held(
@@ -111,6 +111,6 @@ def test_a_jet_is_dense_from_its_first_cell(jet):
 
 def test_mass_is_kept(jet):
     before = totals(jet)["mass"]
-    ((_, brought, _, taken),) = jet.features["flow_accounting"].totals()
-    mass = jet.features["flow_accounting"].mass
+    ((_, brought, _, taken),) = jet.features["inlets_outlets"].flow.totals()
+    mass = jet.features["inlets_outlets"].flow.mass
     assert abs(before - mass(0, brought) + mass(0, taken)) < 1e-14 * mass(0, brought)

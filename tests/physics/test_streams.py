@@ -9,7 +9,7 @@ cells apart, nothing acts between them, and the discs keep their radius.
 import numpy as np
 import pytest
 
-from tests.support.simulate import advance, begin, by_id
+from tests.support.simulate import advance, begin, by_id, inlets_of
 from tests.support.validation_record import held
 
 DX, U, G, TOP, RADIUS = 0.01, 0.6, 9.81, 0.56, 0.02
@@ -57,7 +57,7 @@ def test_a_stream_stays_whole(tmp_path, material):
     )  # fmt: skip
     if material == "sand":
         return
-    (inlet,) = simulation.plan.sources
+    (inlet,) = inlets_of(simulation.plan)
     away = x[here, :2] - x[here, :2].mean(axis=0)
     radius = np.sqrt(2 * (away**2).sum(axis=1).mean())
     mouth = np.sqrt(len(inlet.mouth) / np.pi) * inlet.spacing

@@ -55,8 +55,8 @@ def drained(folder, tank: Tank) -> Found:
         x, v, vol0, J = by_id(simulation, "x", "v", "vol0", "J")
         volume, low = vol0 * J / (DEEP * DX), FLOOR * DX - x[:, 2]
         level = volume[low < 0].sum() / (tank.wide * DX)
-        ((_, _, _, went),) = simulation.features["flow_accounting"].totals()
-        out = simulation.features["flow_accounting"].mass(0, went) / 1000 / (DEEP * DX)
+        ((_, _, _, went),) = simulation.features["inlets_outlets"].flow.totals()
+        out = simulation.features["inlets_outlets"].flow.mass(0, went) / 1000 / (DEEP * DX)
         rows.append((time, level, out, vol0.sum() / (DEEP * DX)))
         thin = (low > tank.half * DX) & (low < 1.5 * tank.half * DX)
         fast.append((-v[thin, 2] / np.sqrt(2 * G * (level + low[thin]))).mean())

@@ -7,6 +7,7 @@ import pytest
 import vgmpi
 from tests.solver.test_pilot_run import FALLS, PACE, TAP
 from tests.support.small_scenes import write
+from vgmpi.features.inlets_outlets.plan import INLET_SECONDS
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.planning.cost import step_overhead
 from vgmpi.planning.cost.feature_costs import step_ns
@@ -38,7 +39,7 @@ def planned(folder, text):
 @pytest.mark.parametrize(
     ("more", "seconds"),
     [
-        (TAP, step_overhead.INLET_SECONDS),
+        (TAP, INLET_SECONDS),
         (WALL, step_overhead.COLLIDER_SECONDS),
         (MOVES, step_overhead.MOVING_COLLIDER_SECONDS),
         (FREE, step_overhead.MOVING_COLLIDER_SECONDS),

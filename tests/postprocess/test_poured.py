@@ -8,6 +8,7 @@ import pytest
 
 from tests.support.small_scenes import scene
 from vgmpi import api
+from vgmpi.features.inlets_outlets import geometry
 from vgmpi.io import csv_log
 from vgmpi.io.run_reader import RunReader, inspect
 from vgmpi.postprocess.frames.appearance import Appearance
@@ -15,7 +16,6 @@ from vgmpi.postprocess.frames.render_config import LookSettings
 from vgmpi.postprocess.studio.lattice_deformation import stretches
 from vgmpi.postprocess.studio.studio_bodies import tearing
 from vgmpi.postprocess.studio.studio_renderer import STREAM_STRETCH
-from vgmpi.scene import inlet_geometry
 
 SCENE = """
 [accuracy]
@@ -85,8 +85,8 @@ def test_files_are_whole(run):
 def test_the_studio_knows_how_a_stream_is_drawn_out(tmp_path, direction):
     """Kernels of a stream that is drawn out sixfold have its stretch, those at its rim too."""
     text = SCENE.replace('direction = "x"', f"direction = {direction}")
-    tap = scene(tmp_path, text).inlet[0]
-    mouth, h = inlet_geometry.inlet_points(tap, 0.02), inlet_geometry.spacing(tap, 0.02)
+    tap = scene(tmp_path, text).lists["inlet"][0]
+    mouth, h = geometry.inlet_points(tap, 0.02), geometry.spacing(tap, 0.02)
     n, stretch, along = len(mouth), 6.0, np.array(tap.direction)
     count = 20 * n
     x0, ids = np.resize(mouth, (count, 3)), np.arange(count)

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from tests.support.simulate import advance, begin, by_id
+from tests.support.simulate import advance, begin, by_id, inlets_of
 from tests.support.small_scenes import scene
+from vgmpi.features.inlets_outlets import geometry
 from vgmpi.features.particle_insertion import remove_particles
 from vgmpi.preprocess.scene_builder import build_scene
-from vgmpi.scene import inlet_geometry
 from vgmpi.solver.initial_particles import known_of, plan_for
 
 TANK = """
@@ -41,7 +41,7 @@ speed = 1
 
 
 def inlet(folder, text):
-    return scene(folder, TANK + text).inlet[0]
+    return scene(folder, TANK + text).lists["inlet"][0]
 
 
 def plan(folder, text):
@@ -51,12 +51,12 @@ def plan(folder, text):
 
 def test_lattice_of_a_disc(tmp_path):
     tap = inlet(tmp_path, TAP)
-    x = inlet_geometry.inlet_points(tap, 0.02) - [0.1, 0.1, 0.3]
+    x = geometry.inlet_points(tap, 0.02) - [0.1, 0.1, 0.3]
     assert (x[:, 0] == 0).all()
     near = np.arange(-5, 5) + 0.5
     wanted = {(i, j) for i in near for j in near if np.hypot(i, j) < 3}
     assert {(round(b, 6), round(c, 6)) for b, c in 100 * x[:, 1:]} == wanted
-    assert inlet_geometry.layers_in_nozzle(tap) == 4 and inlet_geometry.spacing(tap, 0.02) == 0.01
+    assert geometry.layers_in_nozzle(tap) == 4 and geometry.spacing(tap, 0.02) == 0.01
 
 
 @pytest.mark.parametrize(
@@ -72,9 +72,9 @@ def test_lattice_of_a_rectangle(tmp_path, direction, wide, high):
     mouth = "rectangle = { center = [0.1, 0.1, 0.3], width = 0.06, height = 0.02 }"
     text = TAP.replace("disc = { center = [0.1, 0.1, 0.3], radius = 0.03 }", mouth)
     tap = inlet(tmp_path, text.replace('"x"', direction))
-    one, other, along = inlet_geometry.orthonormal_frame(tap)
+    one, other, along = geometry.orthonormal_frame(tap)
     np.testing.assert_allclose([one, np.abs(other)], [wide, np.abs(high)], atol=1e-15)
-    x = inlet_geometry.inlet_points(tap, 0.02) - [0.1, 0.1, 0.3]
+    x = geometry.inlet_points(tap, 0.02) - [0.1, 0.1, 0.3]
     assert len(x) == 12
     np.testing.assert_allclose(np.ptp(x @ one), 0.05, rtol=1e-12)
     np.testing.assert_allclose(np.ptp(x @ other), 0.01, rtol=1e-12)
@@ -83,9 +83,9 @@ def test_lattice_of_a_rectangle(tmp_path, direction, wide, high):
 
 def test_a_box_holds_the_nozzle(tmp_path):
     tap = inlet(tmp_path, TAP.replace('"x"', "[1, 0.5, -1]"))
-    low, high = inlet_geometry.bounding_box(tap, 0.02)
-    back = inlet_geometry.inlet_points(tap, 0.02) - 0.04 * np.array(tap.direction)
-    for x in (inlet_geometry.inlet_points(tap, 0.02), back):
+    low, high = geometry.bounding_box(tap, 0.02)
+    back = geometry.inlet_points(tap, 0.02) - 0.04 * np.array(tap.direction)
+    for x in (geometry.inlet_points(tap, 0.02), back):
         assert (x > low).all() and (x < high).all()
     assert (high - low < 0.1).all()
 
@@ -95,7 +95,7 @@ def test_a_box_holds_the_nozzle(tmp_path):
 )
 def test_speed_follows_from_what_flows(tmp_path, amount):
     """32 particles of a cubic centimetre every h / u."""
-    (found,) = plan(tmp_path, TAP.replace("speed = 1", amount)).sources
+    (found,) = inlets_of(plan(tmp_path, TAP.replace("speed = 1", amount)))
     assert found.speed == pytest.approx(0.5, rel=1e-12)
     assert len(found.mouth) * 1000 * found.volume / found.period == pytest.approx(1.6, rel=1e-12)
 
@@ -103,7 +103,7 @@ def test_speed_follows_from_what_flows(tmp_path, amount):
 def test_density_of_sand_has_its_pores(tmp_path):
     text = TAP.replace('"water"', '"sand"').replace("speed = 1", "mass_flow_rate = 1")
     made = plan(tmp_path, text)
-    (found,) = made.sources
+    (found,) = inlets_of(made)
     mass = made.groups[found.group].density * found.volume * len(found.mouth) / found.period
     assert mass == pytest.approx(1.0, rel=1e-12)
     assert made.groups[found.group].family == "sand"
@@ -116,9 +116,9 @@ def test_ids_and_times(tmp_path):
         "speed = 1", 'speed = 1\nstart_time = "60 ms"\nend_time = "120 ms"'
     )  # fmt: skip
     made = plan(tmp_path, TAP + second)
-    tap, late = made.sources
+    tap, late = inlets_of(made)
     assert (tap.entity, late.entity) == (1, 2)
-    assert tap.first == made.count[0] == made.initial_particle_count
+    assert tap.first == made.count[0] == made.first_id[1]
     assert late.first == tap.first + tap.particles and made.particles == sum(made.count)
     # 32 particles in .01 s: born until .2 s are the layers k with (k + 1) .01 - .04 <= .2
     assert tap.particles == 24 * 32 and tap.spawn_time(767) <= 0.2 < tap.spawn_time(768)
@@ -130,7 +130,7 @@ def test_ids_and_times(tmp_path):
 def test_the_flow_is_exact_to_a_particle(tmp_path):
     """What has passed the mouth at any time, and what an end in the middle of a layer lets pass."""
     cut = TAP.replace("speed = 1", "speed = 1\nend_time = 0.1234")
-    (tap,) = plan(tmp_path, cut).sources
+    (tap,) = inlets_of(plan(tmp_path, cut))
     assert abs(tap.particles - 0.1234 * 3200) <= 0.5
     for time in np.linspace(0.0, 0.1234, 997):
         assert abs(tap.passed(time) - time * 3200) <= 0.5 + 1e-9
@@ -148,7 +148,7 @@ def test_a_stream_is_even_however_it_stretches(tmp_path, per_cell):
     """Stretched by s along the flow and drawn in by s^-1/2 across it, as a liquid that falls is:
     seen along the flow, its particles form no planes, and none comes close to another."""
     inlet = TAP.replace("speed = 1", f"speed = 1\nparticles_per_cell = {per_cell}")
-    (tap,) = plan(tmp_path, inlet.replace("radius = 0.03", "radius = 0.045")).sources
+    (tap,) = inlets_of(plan(tmp_path, inlet.replace("radius = 0.03", "radius = 0.045")))
     n, h = len(tap.mouth), tap.spacing
     x = tap.places(tap.first + np.arange(min(24 * n, tap.particles)), 0.0)
     s = -(x[:, 0] - 0.1) / h
@@ -162,7 +162,7 @@ def test_a_stream_is_even_however_it_stretches(tmp_path, per_cell):
 
 
 def test_particles_are_counted_as_their_times_are(tmp_path):
-    (tap,) = plan(tmp_path, TAP).sources
+    (tap,) = inlets_of(plan(tmp_path, TAP))
     every = np.arange(tap.particles)
     events = (tap.spawn_time(every), tap.mouth_time(every), tap.release_time(every))
     for time in np.concatenate([np.linspace(0, 0.3, 1001), *events]):  # also exactly when they are
@@ -175,7 +175,7 @@ def test_a_scene_of_an_inlet_alone(tmp_path):
     text = TANK[: TANK.index("[[object]]")] + TAP + "start_time = 0.1\n"
     loaded = scene(tmp_path, text)
     made = plan_for(loaded, known_of(loaded, build_scene(loaded)))
-    assert made.initial_particle_count == 0 and made.sources[0].spawned(0.0) == 0
+    assert inlets_of(made)[0].first == 0 == inlets_of(made)[0].spawned(0.0)
 
 
 BESIDE = """
@@ -211,7 +211,7 @@ def test_a_nozzle_may_end_where_something_begins(tmp_path, touched):
     """Rounding does not decide, and what comes is there from the start on."""
     text = BESIDE.replace("WIDE", "0.3" if touched == "a wall" else "0.5") + TOUCHED[touched]
     simulation, _ = begin(tmp_path, text)
-    tap = simulation.plan.sources[0]
+    tap = inlets_of(simulation.plan)[0]
     advance(simulation, 0.02)
     ids, x = by_id(simulation, "id", "x")
     came = x[(ids >= tap.first) & (ids < tap.first + tap.particles)]
@@ -224,7 +224,7 @@ def test_no_inlet_no_trace(tmp_path):
     """What a scene without them resolves to is what it was."""
     resolved = scene(tmp_path, TANK).to_json()
     assert "inlet" not in resolved and "outlet" not in resolved
-    assert not plan(tmp_path, "").is_open_system
+    assert not plan(tmp_path, "").changes_mass
 
 
 def test_extending_needs_an_end(tmp_path):
@@ -238,12 +238,12 @@ def test_extending_needs_an_end(tmp_path):
     (tmp_path / "ends").mkdir()
     known = known_of(one := scene(tmp_path / "ends", ends), build_scene(one))
     longer = scene(tmp_path / "longer", ends.replace("end = 0.2", "end = 0.4"))
-    assert plan_for(longer, known).sources[0].particles == 15 * 32
+    assert inlets_of(plan_for(longer, known))[0].particles == 15 * 32
 
 
 def carried(simulation):
     """Which rows of `by_id` are in a nozzle, of the only inlet."""
-    (inlet,) = simulation.plan.sources
+    (inlet,) = inlets_of(simulation.plan)
     (ids,) = by_id(simulation, "id")
     first, last = (inlet.first + by(simulation.time) for by in (inlet.released, inlet.spawned))
     return (ids >= first) & (ids < last)
@@ -271,7 +271,7 @@ def test_the_time_step_knows_what_comes(tmp_path):
     fast = TAP.replace("speed = 1", 'speed = 20\nstart_time = "20 ms"')
     simulation, _ = begin(tmp_path, TANK + fast)
     wave = np.sqrt(2e4 / 1000)
-    assert len(by_id(simulation, "id")[0]) == simulation.plan.initial_particle_count
+    assert len(by_id(simulation, "id")[0]) == inlets_of(simulation.plan)[0].first
     most = 0.4 * 0.02 / (wave + 20)
     assert 0.5 * most < simulation.bound() <= most
 
@@ -300,7 +300,7 @@ def test_an_outlet_takes_after_every_fourth_step(tmp_path):
             assert (x[:, 0] <= 0.21).all()
         before = there
     assert taken >= 2 and sorted_then < taken
-    ((came, _, went, _),) = simulation.features["flow_accounting"].totals()
+    ((came, _, went, _),) = simulation.features["inlets_outlets"].flow.totals()
     assert came == len(made.x) and went == came - len(before)
 
 
@@ -322,7 +322,7 @@ def test_no_sort_is_missed_where_particles_were_taken(tmp_path, engine):
             empty += (group.count == 0).any() and not sorts
             if sorts and simulation.step % 4 == 0:
                 simulation.sort()
-        assert simulation.features["flow_accounting"].part[0][2] > 200
+        assert simulation.features["inlets_outlets"].flow.part[0][2] > 200
         assert (group.f[:, group.ids < 0] == 0).all()  # what is gone does not move
         found.append(by_id(simulation, "id", "x", "v"))
     assert empty
@@ -344,7 +344,7 @@ def test_an_open_wall_does_nothing_to_what_leaves(tmp_path, wall, v):
         assert np.abs(now - v).max(initial=0.0) < 1e-12
         if len(now) == 0:
             break
-    ((came, _, went, _),) = simulation.features["flow_accounting"].totals()
+    ((came, _, went, _),) = simulation.features["inlets_outlets"].flow.totals()
     assert came == went == len(made.x) == 216
 
 

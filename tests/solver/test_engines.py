@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.support.engine_pair import of_scene, worst
+from tests.support.simulate import inlets_of
 from tests.support.small_scenes import LAWS
 from vgmpi.commands import cli
 from vgmpi.solver.engine_registry import ENGINES
@@ -272,13 +273,13 @@ def test_engines_agree(tmp_path, name):
         assert most < 1e-12, (engine, {key: v for key, v in found.items() if v >= 1e-12})
     touching = slow.engine.contact_count
     print(f"{name}: {most:.1e}, {touching} nodes in contact")
-    if slow.plan.sources:
-        came, went = np.array(slow.features["flow_accounting"].totals())[:, [0, 2]].T
+    if slow.plan.has_sources:
+        came, went = np.array(slow.features["inlets_outlets"].flow.totals())[:, [0, 2]].T
         assert (
-            went.max() > 0 and came.sum() > slow.plan.initial_particle_count + 4 * 4
+            went.max() > 0 and came.sum() > inlets_of(slow.plan)[0].first + 4 * 4
         )  # those at the start
-        part = slow.features["flow_accounting"].part
-        assert all(one.features["flow_accounting"].part == part for one in every.values())
+        part = slow.features["inlets_outlets"].flow.part
+        assert all(one.features["inlets_outlets"].flow.part == part for one in every.values())
     assert touching > 10 or not ("contact" in name or name in ("collider", "flip", "everything"))
 
 

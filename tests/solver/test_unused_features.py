@@ -352,8 +352,8 @@ FEATURES = {
          "Lattice", "PressureFields", "set_nodes", "set_cells", "set_excess", "respond", "sweep",
          "add_velocities", "store_node_pressure", "store_moves"},
     ),
-    "an inlet": (PLAIN + TAP, {"features.inlets", "plan.sources"}, set()),
-    "an outlet": (PLAIN + DRAIN, {"features.outlets"}, set()),
+    "an inlet": (PLAIN + TAP, {"features.inlets_outlets", "plan.features"}, set()),
+    "an outlet": (PLAIN + DRAIN, {"features.inlets_outlets"}, set()),
     "a probe": (
         PLAIN + '[[probe]]\nname = "deep"\nsampling_rate = 100\npressure = [0.1, 0.1, 0.1]\n',
         set(), set(),

@@ -5,7 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from tests.support.small_scenes import scene
+from vgmpi.features.inlets_outlets.plan import InletPlan, InletsOutletsPlan
 from vgmpi.parallel.communicator import SerialCommunicator
+from vgmpi.planning.plan import Plan
 from vgmpi.preprocess.initial_conditions import initial_velocity_gradient
 from vgmpi.preprocess.scene_builder import PreparedScene, build_scene
 from vgmpi.solver.diagnostics.conservation import conservation_rows
@@ -16,7 +18,7 @@ from vgmpi.solver.step_to_target import next_step
 
 ENERGIES = ("kinetic", "elastic", "potential")  # of the ledger
 
-__all__ = ["advance", "begin", "by_id", "mass_speed", "totals"]
+__all__ = ["advance", "begin", "by_id", "inlets_of", "mass_speed", "totals"]
 
 
 def begin(
@@ -48,6 +50,12 @@ def advance(simulation: Simulation, end: float) -> None:
         goal = simulation.next_event_time(end)
         dt, lands = next_step(simulation.time, goal, simulation.bound())
         simulation.advance(dt, end=goal if lands else None)
+
+
+def inlets_of(plan: Plan) -> tuple[InletPlan, ...]:
+    """Inlets of a plan."""
+    flows = plan.feature(InletsOutletsPlan)
+    return flows.inlets if flows else ()
 
 
 def totals(simulation: Simulation) -> dict[str, np.ndarray | float]:

@@ -229,14 +229,14 @@ def test_what_comes_with_every_frame_is_an_inlet(convert):
     water = ({"material": "fluid", "bulk_modulus": 900}, {"center_point": [2, 2, 2.5]})
     more = {"boundary": [1.6, 2.4, 1.7, 2.3, 2.4, 2.6], "start_time": 0.04, "additional": 1}
     scene, lines = convert(several(water, add_particle=more))
-    inlet = scene.inlet[0]
+    inlet = scene.lists["inlet"][0]
     assert (
         inlet.volume_flow_rate == pytest.approx(0.8 * 0.6 * 0.2 / 0.04) and inlet.start_time == 0.04
     )
     assert (inlet.rectangle.width, inlet.rectangle.height) == pytest.approx((0.8, 0.6))
     assert inlet.rectangle.center == pytest.approx((2, 2, 2.4)) and not scene.object
     scene, lines = convert(several(water, add_particle=more | {"additional": False}))
-    assert not scene.inlet and named(lines, "add_particle")
+    assert not scene.lists["inlet"] and named(lines, "add_particle")
 
 
 def test_what_only_pours_is_in_no_walls_way(convert, capture):

@@ -8,16 +8,15 @@ from typing import NamedTuple
 from vgmpi.parallel.launch import launched_by
 from vgmpi.planning.cost.run_estimate import predicted_seconds
 from vgmpi.planning.cost.throughput import ASSUMED_THROUGHPUT
-from vgmpi.planning.inlet_schedule import particle_count
 from vgmpi.planning.plan import make_plan, time_step_bounds
 from vgmpi.preprocess import memory_estimate
 from vgmpi.runtime.command_line import EXIT_USAGE
 from vgmpi.runtime.config.schema import SceneError
 from vgmpi.runtime.process_limits import FreeCores, physical_cores
-from vgmpi.scene import inlet_geometry
 from vgmpi.scene.loader import load
 from vgmpi.scene.objects import Object
 from vgmpi.scene.scene import Scene
+from vgmpi.scene.scene_feature import features
 
 from . import rank_supervisor
 from .flags import is_run, parse_arguments
@@ -165,10 +164,10 @@ def predicted_run_seconds(scene: Scene, ranks: int, stop_steps: int = 0) -> floa
     """
     bodies = [expected_particles(scene, obj) for obj in scene.object]
     spacings = [memory_estimate.spacing_of(scene, obj) for obj in scene.object]
-    dx = scene.domain.cell
-    for source in scene.inlet:
-        bodies.append(particle_count(scene, source))
-        spacings.append(inlet_geometry.spacing(source, dx))
+    for feature in features():
+        for count, spacing in feature.particle_estimates(scene):
+            bodies.append(count)
+            spacings.append(spacing)
     volumes = [n * spacing**3 for n, spacing in zip(bodies, spacings, strict=True)]
     plan = make_plan(scene, bodies, volumes, any(obj.collider for obj in scene.object))
     pace = ASSUMED_THROUGHPUT[scene.accuracy.precision]

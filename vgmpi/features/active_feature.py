@@ -144,7 +144,7 @@ class ActiveFeature:
         """Take new tables."""
 
     def find_particles(self, time: float) -> None:
-        """Find its particles, which a sort or an outlet has moved in memory."""
+        """Find its particles, which a sort or a removal has moved in memory."""
 
     # ---- an insertion of particles ---------------------------------------------------------------
 
@@ -159,6 +159,19 @@ class ActiveFeature:
 
     def count_inserted(self, rows: ParticleRows) -> None:
         """Count particles that were inserted on this rank."""
+
+    def count_transferred(self, group: int, other: int, volume: np.ndarray) -> None:
+        """Count particles that moved from one group to another on this rank.
+
+        Args:
+            group: Index of the group that they left.
+            other: Index of the group that they joined.
+            volume: Rest volumes, shape (n,) [m3].
+        """
+
+    def carried_particles(self, group: ParticleGroup) -> np.ndarray:
+        """Return the indices (n,) of particles of a group that it carries for a time."""
+        return np.zeros(0, np.int64)
 
     # ---- a step ----------------------------------------------------------------------------------
 
@@ -237,6 +250,10 @@ class ActiveFeature:
     def conserved(self, time: float) -> dict[str, float]:
         """Return columns of the conservation log that the particles do not have; on rank 0."""
         return {}
+
+    def phase_entries(self) -> list[dict[str, float]]:
+        """Return its columns of the conservation log by phase, or no rows. Collective."""
+        return []
 
     def external_impulse(self, t0: float, t1: float) -> np.ndarray:
         """Return the impulse (3,) [N s] that it gave all particles between two times [s].

@@ -23,7 +23,7 @@ class ParticleRows(NamedTuple):
     v: np.ndarray  # (n, 3) [m/s] velocities
     volume: np.ndarray  # (n,) [m3] rest volumes
     ids: np.ndarray  # (n,)
-    owner: np.ndarray  # (n,) object or inlet of each particle
+    owner: np.ndarray  # (n,) object or particle source of each particle
     theta: np.ndarray | None = None  # (n,) ln J of fluids, None for 0
     C: np.ndarray | None = None  # (n, 9) [1/s] velocity gradients, None for 0
     sh: np.ndarray | None = None  # (n, K, 3) colors

@@ -18,11 +18,8 @@ class Start(NamedTuple):
 
 # by name in Simulation.features: features that are not in FEATURES yet
 STARTS = {
-    "flow_accounting": Start("inlets_outlets.flow_accounting", "start", "wave_zones"),
     "moving_colliders": Start("moving_colliders.coupling", "start", "implicit_pressure"),
     "prescribed_motion": Start("prescribed_motion.coupling", "start", "reactions"),
-    "inlets": Start("inlets_outlets.coupling", "start_inlets", "thin_walls"),
-    "outlets": Start("inlets_outlets.coupling", "start_outlets", "thin_walls"),
     "releases": Start("releases.coupling", "start", "thin_walls"),
 }
 

@@ -51,6 +51,9 @@ class FeaturePlan:
         step_seconds: Processor time [s] of a step besides that of its particles.
         uncounted_groups: Groups whose momentum and energy something else counts.
         drives_motion: Whether bodies reach speeds that gravity alone does not give them.
+        source_names: Names of its particle sources, see scene/scene_feature.py.
+        source_speeds: Speeds [m/s] with which their particles enter.
+        removes_particles: Whether particles leave the domain.
     """
 
     name = title = ""
@@ -67,7 +70,9 @@ class FeaturePlan:
     collider_title = step_limit = ""
     counted = 0, "", ""
     uncounted_groups: frozenset[int] = frozenset()
-    drives_motion = False
+    drives_motion = removes_particles = False
+    source_names: tuple[str, ...] = ()
+    source_speeds: tuple[float, ...] = ()
 
     def contributes(self, phase: int) -> bool:
         """Return whether the particles of a phase contribute to its nodal fields."""
@@ -123,6 +128,14 @@ class FeaturePlan:
         """
         return np.zeros(len(usual), bool)
 
+    def inserted_counts(self, time: float) -> dict[int, int]:
+        """Return the particles that each of its sources has inserted up to a time [s], by row."""
+        return {}
+
+    def mean_counts(self, plan: Any) -> dict[int, int]:
+        """Return the mean number of particles of each of its sources over the run, by row."""
+        return {}
+
     def reaction_bodies(self) -> list[tuple[int, tuple[float, ...]]]:
         """Return (object, reference point [m]) of each body whose reactions it sums."""
         return []
@@ -165,8 +178,8 @@ class PlanDraft(NamedTuple):
     scene: Any
     phases: tuple  # of `PhasePlan`
     groups: tuple  # of `GroupPlan`
-    group_of: tuple[int, ...]  # group of each object and inlet, -1 without particles
-    particle_counts: list[int]  # of each object and inlet
+    group_of: tuple[int, ...]  # group of each entity of the scene, -1 without particles
+    particle_counts: list[int]  # of each entity
 
 
 def plan_features(

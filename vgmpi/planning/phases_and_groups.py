@@ -12,9 +12,9 @@ import numpy as np
 
 from vgmpi.materials.couplings.interaction import CONTACT, DRAG, InteractionRules
 from vgmpi.materials.material import law_function, state_channels
-from vgmpi.scene.inlets_outlets import Inlet
 from vgmpi.scene.objects import Object
 from vgmpi.scene.scene import Scene
+from vgmpi.scene.scene_feature import ParticleSource
 
 from .color_exchange import ColorExchange
 from .correction_intervals import shift_cost, shift_interval
@@ -115,7 +115,7 @@ class PhasePlan(NamedTuple):
 
     name: str
     families: tuple[str, ...]  # of its bodies
-    objects: tuple[int, ...]  # rows of the objects and inlets that are ever in it
+    objects: tuple[int, ...]  # rows of the objects and particle sources that are ever in it
     contact_priority: int  # contact priority; the normals of phase 0 come first
     min_cell_mass: float  # [kg] mass of a cell full of its lightest material
     max_cell_mass: float  # [kg] mass of a cell full of its densest material
@@ -137,7 +137,7 @@ class PhasePlan(NamedTuple):
         return self.surface and not self.is_soft
 
 
-def stores_deformation(scene: Scene, entity: Object | Inlet) -> bool:
+def stores_deformation(scene: Scene, entity: Object | ParticleSource) -> bool:
     """Return whether frames store the total deformation gradient of a body for its Gaussians."""
     if entity.material is None:
         return False
@@ -222,7 +222,7 @@ def phases_of(
 
 
 def _shares_space(scene: Scene, k: int) -> bool:
-    """Return whether a coupling lets a body or an inlet lie in the same space as another."""
+    """Return whether a coupling lets an entity lie in the same space as another."""
     own = set(scene.materials_of(scene.entities[k]))
     return any(c.rule != CONTACT and not own.isdisjoint(c.between) for c in scene.coupling)
 
@@ -423,7 +423,7 @@ def with_soft_bodies(
     Args:
         scene: The scene.
         phases, groups: Phases and groups of the scene.
-        volume: Volume of each object and inlet [m3].
+        volume: Volume of each object and particle source [m3].
         center: Center of each [m].
     """
     if scene.accuracy.is_flip or all(kind != "separate" for kind, _ in scene.walls_of_solids):

@@ -23,7 +23,6 @@ from vgmpi.scene.sections import Accuracy
 from .color_exchange import ColorExchange, color_exchange
 from .correction_intervals import correction_interval, shift_interval
 from .feature_plan import FeaturePlan, PlanDraft, plan_features
-from .inlet_schedule import InletPlan, OutletPlan, inlet_plans, outlet_plans
 from .interaction_rules import interaction_rules, with_slip_wave_factors
 from .phases_and_groups import (
     GroupPlan,
@@ -81,9 +80,9 @@ class Plan:
     walls_of_solids: tuple[tuple[str, float], ...]
     phases: tuple[PhasePlan, ...]
     groups: tuple[GroupPlan, ...]
-    group_of: tuple[int, ...]  # group of each object, -1 for scenery; then of each inlet
-    first_id: tuple[int, ...]  # of each object and inlet
-    count: tuple[int, ...]  # particles of each object; of each inlet all that may enter
+    group_of: tuple[int, ...]  # group of each object, -1 for scenery; then of each source
+    first_id: tuple[int, ...]  # of each object and particle source
+    count: tuple[int, ...]  # particles of each object; of each source all that may enter
     # friction: (phases + 1, phases), the last row is for colliders; each collider has a row if one
     # has a coefficient of its own
     friction: tuple[tuple[float, ...], ...]
@@ -105,13 +104,11 @@ class Plan:
     gravity_keys: Keys = ()  # (time, gravity) keyframes from the start on
     # thickness: [m] of every solid body, NaN for other objects; empty without fluids or if unknown
     thickness: tuple[float, ...] = ()
-    surroundings: tuple[Proximity, ...] = ()  # of each object and inlet, if known
-    volumes: tuple[float, ...] = ()  # [m3] of each object and inlet, if known
+    surroundings: tuple[Proximity, ...] = ()  # of each object and source, if known
+    volumes: tuple[float, ...] = ()  # [m3] of each object and source, if known
     weights: tuple[float, ...] = ()  # [Pa] on the bottom of each body of liquid, see liquid_weight
     tensions: tuple[float, ...] = ()  # [Pa] of each body of liquid in a closed box
     motion_steps: tuple[float, ...] = ()  # least steps in equal intervals, by prescribed motions
-    sources: tuple[InletPlan, ...] = ()
-    sinks: tuple[OutletPlan, ...] = ()
     driven: tuple[PrescribedBodyPlan, ...] = ()
     features: tuple[FeaturePlan, ...] = ()  # optional features, in the order in which they act
     wall_opening_times: tuple[float | None, ...] = (None,) * 6  # [s] when each wall vanishes
@@ -141,14 +138,14 @@ class Plan:
         return len(self.phases) - sum(feature.added_phases for feature in self.features)
 
     @property
-    def is_open_system(self) -> bool:
+    def changes_mass(self) -> bool:
         """True if particles are inserted or removed during the run."""
-        return bool(self.sources or self.sinks)
+        return self.has_sources or any(feature.removes_particles for feature in self.features)
 
     @property
-    def initial_particle_count(self) -> int:
-        """Number of particles of all objects; they have the first ids."""
-        return self.sources[0].first if self.sources else self.particles
+    def has_sources(self) -> bool:
+        """True if particles are inserted during the run."""
+        return any(feature.source_names for feature in self.features)
 
     @property
     def drifts(self) -> bool:
@@ -183,7 +180,7 @@ class Plan:
 
     @property
     def particles(self) -> int:
-        """Number of particles of all objects and inlets."""
+        """Number of particles of all objects and particle sources."""
         return sum(self.count)
 
     def ahead(self, now: float) -> np.ndarray:
@@ -253,7 +250,7 @@ def make_plan(
 
     Args:
         scene: The scene.
-        count: Particles of each object and inlet.
+        count: Particles of each object and particle source.
         volume: Total volume of each [m3].
         collider: True if there are colliders.
         center: Center of each [m]; without it the names order bodies of equal volume.
@@ -299,7 +296,7 @@ def make_plan(
         gravity_ramp_time=scene.domain.gravity_ramp_time,
         gravity_keys=gravity_keys(scene.domain), features=features,
         wall_opening_times=tuple(scene.domain.wall_opening_times),
-        sources=inlet_plans(scene, group_of, count), sinks=outlet_plans(scene), driven=driven,
+        driven=driven,
     )  # fmt: skip
     _check_steps(scene, plan)
     return plan
@@ -363,6 +360,12 @@ def _wave_moduli(groups: tuple[GroupPlan, ...], phases: int) -> tuple[float, ...
     return tuple(out)
 
 
+def initial_speeds(scene: Scene, plan: Plan) -> list[float]:
+    """Return the speed [m/s] with which each object and particle source begins."""
+    sources = [speed for feature in plan.features for speed in feature.source_speeds]
+    return [obj.speed for obj in scene.object] + sources
+
+
 def time_step_bounds(scene: Scene, plan: Plan, stiffened: bool = False) -> list[tuple[float, str]]:
     """Return (bound of the time step [s], its cause) at the start, smallest first.
 
@@ -382,7 +385,7 @@ def time_step_bounds(scene: Scene, plan: Plan, stiffened: bool = False) -> list[
             first, second = coupling.between
             bound = dx**2 / (6.0 * coupling.diffusivity)
             bounds.append((bound, f"the diffusion of materials {first!r} and {second!r}"))
-    speeds = [entity.speed for entity in scene.object] + [source.speed for source in plan.sources]
+    speeds = initial_speeds(scene, plan)
     for k, entity in enumerate(scene.entities):
         if entity.material is None:
             continue

@@ -76,13 +76,13 @@ def prescribed_body_plans(
     Args:
         scene: The scene.
         groups: Groups as if no motion were prescribed.
-        group_of: Group of each object and inlet, likewise.
+        group_of: Group of each object and particle source, likewise.
         phases: All phases.
         extents: Lower and upper corner of the particles of each such body [m].
 
     Returns:
         The plans, all groups with the additional ones last, and the initial group of each object
-        and inlet.
+        and particle source.
     """
     number = {phase.name: k for k, phase in enumerate(phases)}
     plans, more, begins = [], list(groups), list(group_of)

@@ -26,7 +26,7 @@ def region_plans(plan: "Plan", entries: list[dict]) -> tuple[RegionPlan, ...]:
 
     Args:
         plan: The plan.
-        entries: Entries of the objects and inlets in output files.
+        entries: Entries of the objects and particle sources in output files.
     """
     free = [g for g, group in enumerate(plan.groups) if not group.carrier]
     number = {(plan.groups[g].phase, plan.groups[g].material): g for g in free}
@@ -39,7 +39,7 @@ def region_plans(plan: "Plan", entries: list[dict]) -> tuple[RegionPlan, ...]:
 
 
 def group_counts(plan: "Plan") -> list[tuple[int, int]]:
-    """Return (particles, group) of each object and inlet without its parts, then of each part.
+    """Return (particles, group) of each object and source without its parts, then of each part.
 
     Parts are regions and those of features. The group of scenery is -1.
     """
@@ -58,7 +58,7 @@ def groups_of_particles(plan: "Plan", ids: np.ndarray, owner: np.ndarray) -> np.
     Args:
         plan: The plan.
         ids: Particle ids, shape (n,).
-        owner: Object or inlet of each particle, shape (n,).
+        owner: Object or particle source of each particle, shape (n,).
     """
     groups = np.array(plan.group_of)[owner] if len(owner) else np.zeros(0, np.int64)
     for region in plan.regions:

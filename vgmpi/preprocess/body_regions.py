@@ -109,7 +109,7 @@ def densities_of(objects: list[dict], owner: np.ndarray) -> np.ndarray:
     """Return the bulk densities (n,) [kg/m3] of all particles, 0 for those without a material.
 
     Args:
-        objects: Entries of the objects and inlets.
+        objects: Entries of the objects and particle sources.
         owner: Object of each particle in the order of their ids, shape (n,).
     """
     densities = np.array([entry["density"] or 0.0 for entry in objects])[owner]

@@ -129,7 +129,7 @@ def liquid_weights(scene: Scene, objects: list[dict], x: np.ndarray) -> tuple[fl
 
     Args:
         scene: The scene.
-        objects: Entries of the objects and inlets.
+        objects: Entries of the objects and particle sources.
         x: Positions of all particles, shape (n, 3) [m].
     """
     gravity = np.array(scene.domain.gravity)
@@ -174,11 +174,11 @@ def closed_box_tensions(
 
     Args:
         scene: The scene.
-        objects: Entries of the objects and inlets.
+        objects: Entries of the objects and particle sources.
         x: Positions of all particles, shape (n, 3) [m].
         volume: Rest volumes of all particles, shape (n,) [m3].
     """
-    if scene.is_open_system or volume.sum() < FULL_BOX * np.prod(scene.domain.size):
+    if scene.changes_mass or volume.sum() < FULL_BOX * np.prod(scene.domain.size):
         return ()
     result = np.full(len(objects), np.nan)
     for k, body in enumerate(scene.object):

@@ -15,12 +15,11 @@ from vgmpi.planning.particle_channels import SURFACE
 from vgmpi.planning.phases_and_groups import phases_with_surface, stores_deformation
 from vgmpi.preprocess.meshes.surface_mesh import MeshError
 from vgmpi.runtime import process_limits
-from vgmpi.scene.inlets_outlets import Inlet
 from vgmpi.scene.objects import Object
 from vgmpi.scene.scene import Scene
-from vgmpi.scene.scene_feature import InitialParticles, features, prepare_features
+from vgmpi.scene.scene_feature import InitialParticles, ParticleSource, features, prepare_features
 
-from . import inlet_particles, memory_estimate
+from . import memory_estimate
 from .body_regions import (
     particle_masses,
     region_entries,
@@ -115,7 +114,8 @@ def build_scene(scene: Scene) -> PreparedScene:
             cannot prepare.
     """
     memory_estimate.require_memory_for_shapes(scene)
-    inlet_particles.require_inlet_memory(scene)
+    for feature in features():
+        feature.check_memory(scene)
     errors: list[tuple[tuple, str]] = []
     built = [
         _attempt(scene, k, partial(_build, scene, k), errors) for k in range(len(scene.object))
@@ -137,10 +137,13 @@ def build_scene(scene: Scene) -> PreparedScene:
     warn_of_locking(scene)
     warn_of_unlikely_objects(scene, pieces)
     report_flip_ratio(scene)
-    inlet_particles.validate_inlets_outlets(
-        scene, pieces, [p.collider for p in pieces if p.collider is not None]
-    )
-    joined = _join(scene, [*pieces, *inlet_particles.reserve_inlet_particles(scene)])
+    colliders = [piece.collider for piece in pieces if piece.collider is not None]
+    for feature in features():
+        errors += feature.check_bodies(scene, pieces, colliders)
+    if errors:
+        raise scene.error(errors)
+    sources = [source for feature in features() for source in feature.build_particles(scene)]
+    joined = _join(scene, [*pieces, *sources])
     return replace(joined, warnings=warnings)
 
 
@@ -216,7 +219,7 @@ def _object_summary(scene: Scene, obj: Object, piece: BuiltObject) -> str:
 
 
 def _join(scene: Scene, pieces: list[BuiltObject]) -> PreparedScene:
-    """Return the particles of all objects and inlets, joined."""
+    """Return the particles of all objects and particle sources, joined."""
     bodies = [k for k, entity in enumerate(scene.entities) if entity.role != "scenery"]
     scenery_rows = [k for k, entity in enumerate(scene.object) if entity.role == "scenery"]
     terms = max(piece.cloud.sh.shape[1] for piece in pieces)
@@ -266,10 +269,11 @@ def _colliders(scene: Scene, pieces: list[BuiltObject], x: np.ndarray) -> list[C
 
 
 def _velocity(scene: Scene, k: int, piece: BuiltObject) -> np.ndarray:
-    """Return the initial velocities (n, 3) [m/s] of one object or inlet."""
+    """Return the initial velocities (n, 3) [m/s] of one object or particle source."""
     entity = scene.entities[k]
-    if isinstance(entity, Inlet):
-        return inlet_particles.velocity(scene, entity, len(piece.cloud))
+    if isinstance(entity, ParticleSource):
+        assert piece.velocity is not None
+        return piece.velocity
     weights = particle_masses(scene, entity, piece) if piece.region_counts else piece.volume
     return initial_velocity(entity, piece.cloud.x, weights, piece.velocity)
 
@@ -311,14 +315,14 @@ def _passive_gaussians(
 
 
 def _describe(
-    scene: Scene, entity: Object | Inlet, piece: BuiltObject, color_group: int | None, first: int,
-    count: int,
+    scene: Scene, entity: Object | ParticleSource, piece: BuiltObject, color_group: int | None,
+    first: int, count: int,
 ) -> dict[str, Any]:  # fmt: skip
     """Return the entry of one object in output files, as JSON values.
 
     Args:
         scene: The scene.
-        entity: Object or inlet.
+        entity: Object or particle source.
         piece: Its particles.
         color_group: Number of its set of bodies that exchange colors.
         first: Id of its first particle.

@@ -99,7 +99,7 @@ def _warn_of_small_objects(scene: Scene, pieces: list[BuiltObject]) -> None:
         scene: The scene.
         pieces: Its objects.
     """
-    if scene.inlet or any(obj.motion is not None for obj in scene.object):
+    if scene.particle_sources or any(obj.motion is not None for obj in scene.object):
         return  # what enters or moves may well need the space
     clouds = [np.reshape(piece.cloud.x, (-1, 3)) for piece in pieces if len(piece.cloud.x)]
     corners = [np.array(p.collider.ends()) for p in pieces if p.collider is not None]
@@ -120,7 +120,7 @@ def holding_walls(scene: Scene, objects: list[dict], x: np.ndarray) -> tuple[str
 
     Args:
         scene: The scene.
-        objects: Entries of the objects and inlets.
+        objects: Entries of the objects and particle sources.
         x: Positions of the particles, shape (n, 3) [m].
     """
     reach, holding = TOUCHING_CELLS * scene.domain.cell, set()

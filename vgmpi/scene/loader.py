@@ -17,20 +17,21 @@ from vgmpi.runtime.message_text import did_you_mean
 
 from . import accuracy_presets
 from .gravity import validate_gravity
-from .inlets_outlets import Inlet, Outlet, validate_balance, validate_inlet, validate_outlet
 from .object_files import find_object_file
 from .objects import Object, validate_body_name, validate_object, validate_release
-from .probes import Probe, collider_names, validate_probe
+from .probes import Probe, collider_names, refuse_balance, validate_probe
 from .regions import validate_region_kinds
 from .rigid_objects import as_collider, validate_bodies, validate_rigid_probes, validate_rigid_scene
 from .scene import Scene, miscible_materials, phase_of
 from .scene_feature import (
+    ParticleSource,
     SceneFeature,
     SceneTables,
     check_object,
     features,
     object_table,
     section_tables,
+    source_lists,
     table_lists,
 )
 from .sections import Appearance, Domain, Output, TopLevelKeys, validate_cell_counts
@@ -41,7 +42,7 @@ SCENE_RULES = (
     validate_rigid_scene, validate_region_kinds,
     validate_subtractions,
 )  # fmt: skip
-LISTS = ("object", "coupling", "probe", "inlet", "outlet")
+LISTS = ("object", "coupling", "probe")
 
 
 def load(
@@ -99,8 +100,11 @@ class SceneLoader:
             self.check_numbers(kinds, accuracy.precision)
         objects = self.objects(data.get("object", []), kinds)
         pairs = self.couplings(data.get("coupling", []), kinds)
-        inlets = self.inlets(data.get("inlet", []), kinds, tables, objects)
-        self.check_phase_families({"object": objects, "inlet": inlets}, kinds, pairs)
+        read = SceneTables(tables, kinds, objects, {}, lambda path: self.source.place(path)[1])
+        for feature in features():
+            self.lists_of(feature, data, read)
+        sources = {name: read.lists[name] for name in source_lists()}
+        self.check_phase_families({"object": objects, **sources}, kinds, pairs)
         role = None
         if None not in objects:
             role = {o.name: "rigid" if o.rigid else o.role for o in objects}
@@ -111,22 +115,19 @@ class SceneLoader:
             self.report(("domain", *inner), message)
         fluid = any(m is None or m.family == "fluid" for m in kinds.values())
         size = (domain := tables.get("domain")) and domain.size
-        read = SceneTables(tables, kinds, objects, {}, lambda path: self.source.place(path)[1])
-        for feature in features():
-            self.lists_of(feature, data, read)
         colliders = collider_names(objects)
         probes = self.table_list(
             data.get("probe", []), "probe", Probe,
             lambda raw, probe: validate_probe(raw, probe, role, size, fluid, colliders),
         )  # fmt: skip
-        outlets = self.table_list(
-            data.get("outlet", []), "outlet", Outlet, lambda raw, _: validate_outlet(raw, inlets)
-        )
-        flows = bool(inlets or outlets or (domain and domain.open_walls))
-        self.errors += validate_balance(probes, flows, objects)
+        if any(obj and obj.driven for obj in objects):
+            message = (
+                "is not for scenes with bodies that are driven: what drives them is no part of it"
+            )
+            self.errors += refuse_balance(probes, message)
         for feature in features():
             self.errors += feature.check_probes(probes, read)
-        self.errors += validate_rigid_probes(probes, objects, bool(inlets))
+        self.errors += validate_rigid_probes(probes, objects, self.has_sources())
         if domain:
             self.errors += validate_cell_counts(domain)
             self.check_hydrostatic(objects, domain)
@@ -136,8 +137,7 @@ class SceneLoader:
             path=self.source.path, folder=self.source.folder, text=self.source.text,
             title=top.title, seed=top.seed, material=kinds,
             object=tuple(as_collider(obj, kinds.get(obj.material)) for obj in objects),
-            coupling=tuple(pairs), probe=tuple(probes), inlet=tuple(inlets),
-            outlet=tuple(outlets), files=files,
+            coupling=tuple(pairs), probe=tuple(probes), files=files,
             lists={name: tuple(items) for name, items in read.lists.items()}, overrides=overrides,
             source=self.source, **tables,
         )  # fmt: skip
@@ -150,7 +150,7 @@ class SceneLoader:
                 hint = did_you_mean(key, valid) or f"; known: {', '.join(valid)}"
                 self.report((key,), f"unknown key{hint}")
         for key in REQUIRED:
-            if key not in data and not (key == "object" and data.get("inlet")):
+            if key not in data and not (key == "object" and self.has_sources()):
                 header = "[[object]]" if key == "object" else f"[{key}]"
                 header = "[material.name]" if key == "material" else header
                 self.report((key,), f"required table {header} is missing")
@@ -160,6 +160,10 @@ class SceneLoader:
         for k, name in enumerate((section and section.color_objects) or ()):
             if message := validate_body_name(name, role):
                 self.report(("appearance", "color_objects", k), message)
+
+    def has_sources(self) -> bool:
+        """Return whether the file has particle sources besides its objects."""
+        return any(self.source.data.get(name) for name in source_lists())
 
     def report(self, path: tuple, message: str) -> None:
         """Note one error; path: the key's path in the scene."""
@@ -234,10 +238,10 @@ class SceneLoader:
             material = item.get("material")
             if isinstance(material, str) and material not in kinds:
                 self.report(("object", k, "material"), unknown_material(material, kinds))
-        pours = bool(self.source.data.get("inlet"))
-        if not raw and not pours:
+        has_sources = self.has_sources()
+        if not raw and not has_sources:
             self.report(("object",), "there is no object")
-        elif not pours and (message := validate_bodies(raw)):
+        elif not has_sources and (message := validate_bodies(raw)):
             self.report(("object",), message)
         for k, obj in enumerate(objects):
             material = kinds.get(obj.material) if obj else None
@@ -334,21 +338,6 @@ class SceneLoader:
                 self.check_unique_name(name, k, item, first)
             self.errors += feature.check_list(name, raw, read)
 
-    def inlets(
-        self, raw: Any, kinds: dict[str, Any], tables: dict[str, Any], objects: list[Any]
-    ) -> list[Any]:
-        """Return the inlets, None in place of invalid ones."""
-
-        def complaints(item: dict, inlet: Inlet | None) -> list[tuple[tuple, str]]:
-            """Return the further errors of one inlet."""
-            return validate_inlet(item, inlet, kinds, tables, objects)
-
-        inlets = self.table_list(raw, "inlet", Inlet, complaints)
-        for k, inlet in enumerate(inlets):
-            if inlet is not None and inlet.material not in kinds:
-                self.report(("inlet", k, "material"), unknown_material(inlet.material, kinds))
-        return inlets
-
     def check_phase_families(
         self, entities: dict[str, list], kinds: dict[str, Any], pairs: list
     ) -> None:
@@ -356,7 +345,7 @@ class SceneLoader:
         valid = [c for c in pairs if c is not None]
         mixing = miscible_materials(valid)
         shares = {name for c in valid if c.rule != CONTACT for name in c.between}
-        first: dict[str, tuple[Object | Inlet, str]] = {}
+        first: dict[str, tuple[Object | ParticleSource, str]] = {}
         for path, entity in (
             ((key, k), t) for key in entities for k, t in enumerate(entities[key])
         ):

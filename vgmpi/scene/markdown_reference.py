@@ -14,8 +14,6 @@ from vgmpi.runtime.config.schema import Quantity, compatible_units
 from . import (
     captures,
     gravity,
-    inlet_geometry,
-    inlets_outlets,
     objects,
     point_sets,
     probes,
@@ -102,10 +100,6 @@ def scene_reference() -> str:
         parts.append(_section(f"[[object]] {name}", inside))
     for kind, coupling in couplings.registry.items():
         parts.append(_section(f'[[coupling]] kind = "{kind}"', coupling))
-    parts.append(_section("[[inlet]]", inlets_outlets.Inlet))
-    parts.append(_section("[[inlet]] disc", inlet_geometry.Disc))
-    parts.append(_section("[[inlet]] rectangle", inlet_geometry.Rectangle))
-    parts.append(_section("[[outlet]]", inlets_outlets.Outlet))
     for name, tables in table_lists().items():
         parts += [
             _section(f"[[{name}]]" + (f' kind = "{kind}"' if kind else ""), table)

@@ -59,15 +59,19 @@ def validate_bodies(objects: list[dict]) -> str:
     return ""
 
 
-def validate_rigid_probes(probes: list, objects: list, pours: bool) -> list[tuple[tuple, str]]:
+def validate_rigid_probes(
+    probes: list, objects: list, has_sources: bool
+) -> list[tuple[tuple, str]]:
     """Return (path, message) of probes of particles in a scene of rigid bodies alone.
 
     Args:
         probes: Probes of the scene, None in place of invalid ones.
         objects: Objects of the scene, None in place of invalid ones.
-        pours: Whether the scene has inlets.
+        has_sources: Whether the scene has other sources of particles.
     """
-    if pours or any(obj is None or not (obj.rigid or obj.role == "scenery") for obj in objects):
+    if has_sources or any(
+        obj is None or not (obj.rigid or obj.role == "scenery") for obj in objects
+    ):
         return []
     message = "measures particles, and all bodies are rigid; object = NAME measures a rigid body"
     return [

@@ -9,10 +9,9 @@ from vgmpi.materials.couplings.interaction import MIXING
 from vgmpi.runtime.config.schema import SceneError
 from vgmpi.runtime.config.toml_source import TomlSource
 
-from .inlets_outlets import Inlet, Outlet
 from .objects import Object
 from .probes import Probe
-from .scene_feature import features
+from .scene_feature import ParticleSource, features, source_lists
 from .sections import SECTIONS, Accuracy, Appearance, Domain, Output, Time
 
 DEFAULT_CFL, SMALL_CFL = 0.55, 0.4  # [-] default CFL number, and that of `courant_number`'s cases
@@ -22,9 +21,9 @@ DEFAULT_CFL, SMALL_CFL = 0.55, 0.4  # [-] default CFL number, and that of `coura
 class Scene:
     """Content of a scene file with defaults filled in, in SI units.
 
-    `object`, `inlet`, `coupling` and the lists of features are in file order; `folder`
-    contains the file; `text` is the file's text without the overrides, which `overrides` lists. A
-    scene of a table has its values as JSON instead, and the folder in which the program runs.
+    `object`, `coupling` and the lists of features are in file order; `folder` contains the file;
+    `text` is the file's text without the overrides, which `overrides` lists. A scene of a table has
+    its values as JSON instead, and the folder in which the program runs.
     """
 
     path: Path
@@ -38,8 +37,6 @@ class Scene:
     object: tuple[Object, ...]
     coupling: tuple[Any, ...] = ()
     probe: tuple[Probe, ...] = ()
-    inlet: tuple[Inlet, ...] = ()
-    outlet: tuple[Outlet, ...] = ()
     appearance: Appearance = Appearance()
     accuracy: Accuracy = Accuracy()
     output: Output = Output()
@@ -54,7 +51,7 @@ class Scene:
         bodies = sum(obj.role == "body" for obj in self.object)
         nx, ny, nz = self.domain.cells
         return (
-            f"<Scene {self.title or self.path.name!r}: {bodies} bodies, {len(self.inlet)} inlets,"
+            f"<Scene {self.title or self.path.name!r}: {bodies} bodies,"
             f" {nx} x {ny} x {nz} cells, {self.time.end:g} s>"
         )
 
@@ -67,19 +64,24 @@ class Scene:
         return self.domain.walls if self.accuracy.is_flip else self.domain.walls_of_solids
 
     @property
-    def entities(self) -> tuple[Object | Inlet, ...]:
-        """Return objects, then inlets: all entities that particles can belong to."""
-        return (*self.object, *self.inlet)
+    def entities(self) -> tuple[Object | ParticleSource, ...]:
+        """Return objects, then particle sources: all entities that particles can belong to."""
+        return (*self.object, *self.particle_sources)
+
+    @property
+    def particle_sources(self) -> tuple[ParticleSource, ...]:
+        """Return the items of lists of features that have particles."""
+        return tuple(item for name in source_lists() for item in self.lists.get(name, ()))
 
     @property
     def has_particles(self) -> bool:
-        """Return whether an object or inlet has particles; else all bodies are rigid."""
+        """Return whether an entity has particles; else all bodies are rigid."""
         return any(entity.material is not None for entity in self.entities)
 
     @property
-    def is_open_system(self) -> bool:
+    def changes_mass(self) -> bool:
         """Return whether particles enter or leave the domain."""
-        return bool(self.inlet or self.outlet or self.domain.open_walls)
+        return any(feature.changes_mass(self) for feature in features())
 
     @property
     def courant_number(self) -> float:
@@ -102,14 +104,14 @@ class Scene:
         assert obj.material is not None
         return self.material[obj.material]
 
-    def materials_of(self, entity: Object | Inlet) -> tuple[str, ...]:
-        """Return the names of the materials of an object or inlet, those of its regions last."""
+    def materials_of(self, entity: Object | ParticleSource) -> tuple[str, ...]:
+        """Return the names of the materials of an entity, those of its regions last."""
         regions = (entity.region or ()) if isinstance(entity, Object) else ()
         own = () if entity.material is None else (entity.material,)
         return tuple(dict.fromkeys((*own, *(region.material for region in regions))))
 
-    def phase_of(self, entity: Object | Inlet) -> str | None:
-        """Return the name of the velocity field of a body or inlet; None for scenery."""
+    def phase_of(self, entity: Object | ParticleSource) -> str | None:
+        """Return the name of the velocity field of a body or particle source; None for scenery."""
         if entity.material is None:
             return None
         return phase_of(
@@ -131,10 +133,9 @@ class Scene:
         tables = {name: getattr(self, name).model_dump(mode="json") for name in SECTIONS}
         tables["time"]["cfl"] = self.courant_number
         # Empty lists are left out, as in runs older than these tables.
-        entities = {"inlet": self.inlet, "outlet": self.outlet, **self.lists}
-        flows = {
+        lists = {
             name: [x.model_dump(mode="json", exclude_none=True) for x in items]
-            for name, items in entities.items()
+            for name, items in self.lists.items()
             if items
         }
         return {
@@ -145,18 +146,20 @@ class Scene:
             "object": [o.model_dump(mode="json", exclude_none=True) for o in self.object],
             "coupling": [c.model_dump(mode="json") for c in self.coupling],
             "probe": [p.model_dump(mode="json", exclude_none=True) for p in self.probe],
-            **flows,
+            **lists,
         }
 
 
-def phase_of(entity: Object | Inlet, family: str, mixed: frozenset[str] = frozenset()) -> str:
-    """Return the name of the velocity field of a body or inlet.
+def phase_of(
+    entity: Object | ParticleSource, family: str, mixed: frozenset[str] = frozenset()
+) -> str:
+    """Return the name of the velocity field of a body or particle source.
 
     All fluids share one, except materials in `mixed`, which mix with another; all sand and all snow
     share one each; every solid has its own.
 
     Args:
-        entity: Object or inlet.
+        entity: Object or particle source.
         family: Family of its material.
         mixed: Names of the materials that mix with others.
     """

@@ -10,20 +10,20 @@ from collections.abc import Callable, Mapping
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, create_model
+from pydantic import BaseModel, BeforeValidator, create_model
 
-from vgmpi.runtime.config.schema import StrictModel
+from vgmpi.runtime.config.schema import Color, Share, StrictModel
 
-from .objects import Object
+from .objects import Object, checked_name, default_alpha_min, per_cell
 from .sections import SECTIONS
 
 # In the order in which they act and plan. It numbers groups and orders sums: part of the results.
 FEATURES = (
     "wave_zones", "loads", "implicit_pressure", "surface_slip", "pinned_parts", "rigid_bodies",
-    "reactions", "thin_walls",
+    "reactions", "inlets_outlets", "thin_walls",
 )  # fmt: skip
 
 Errors = list[tuple[tuple, str]]  # (path of a key, message)
@@ -39,7 +39,39 @@ class InitialParticles(NamedTuple):
     x: np.ndarray  # (n, 3) [m] positions
     vol0: np.ndarray  # (n,) [m3] rest volumes
     owner: np.ndarray  # (n,) object of each
-    entries: list[dict]  # of the objects and inlets in output files
+    entries: list[dict]  # of the objects and particle sources in output files
+
+
+class ParticleSource(StrictModel):
+    """Table of a list whose items have particles, as objects do; see `TableList`."""
+
+    name: Annotated[str, BeforeValidator(checked_name)]
+    """unique name, among objects too: letters, digits, spaces, _ and -, beginning with a letter"""
+    material: str
+    """name of a [material.*] table"""
+    particles_per_cell: Annotated[int, BeforeValidator(per_cell)] = 8
+    """particles per full cell: 1, 8, 27 or 64"""
+    phase: str | None = None
+    """name of its velocity field, as for an object"""
+    color: Color = (0.7, 0.7, 0.7)
+    """"#rrggbb" or three numbers 0..1"""
+    opacity: Share = 0.95
+    """opacity of its Gaussians"""
+    opacity_scale: Share = 1.0
+    """fluids only: factor on opacities in rendering; water looks realistic at 0.005 .. 0.05"""
+
+    # attributes of an `Object` that it lacks
+    role: ClassVar[str] = "source"
+    collider: ClassVar[bool] = False
+    track_deformation: ClassVar[bool | None] = None
+    motion: ClassVar[None] = None
+    free_body: ClassVar[None] = None
+    driven: ClassVar[bool] = False
+
+    @property
+    def alpha_threshold(self) -> float:
+        """Return the opacity below which a contribution is not drawn."""
+        return default_alpha_min(self.opacity_scale)
 
 
 class TableList(NamedTuple):
@@ -47,6 +79,11 @@ class TableList(NamedTuple):
 
     tables: Mapping[str, type[BaseModel]]  # class of the items by their key `kind`; by "": of all
     sections: Mapping[str, type[BaseModel]] = {}  # tables inside these, for the reference, by title
+
+    @property
+    def holds_particles(self) -> bool:
+        """Return whether its items have particles, as objects do."""
+        return all(issubclass(table, ParticleSource) for table in self.tables.values())
 
 
 class SceneTables(NamedTuple):
@@ -146,6 +183,10 @@ class SceneFeature:
         """Return a line on each effect of a valid scene, with or without it, that may surprise."""
         return []
 
+    def changes_mass(self, scene: Any) -> bool:
+        """Return whether particles enter or leave the domain of a scene because of the feature."""
+        return False
+
     def has_force(self, obj: Object) -> bool:
         """Return whether the force on an object can be probed because of the feature."""
         return False
@@ -211,6 +252,27 @@ class SceneFeature:
             scene: The scene.
             plan: Its plan.
         """
+        return []
+
+    def particle_estimates(self, scene: Any) -> list[tuple[int, float]]:
+        """Return the number of particles and their spacing [m] of each of its particle sources."""
+        return []
+
+    def check_memory(self, scene: Any) -> None:
+        """Raise SceneError if its particle sources are empty, or larger than the memory."""
+
+    def check_bodies(self, scene: Any, pieces: list, colliders: list) -> Errors:
+        """Return the errors of a scene with its objects as they were built.
+
+        Args:
+            scene: The scene.
+            pieces: Its objects, each a preprocess/built_object.py `BuiltObject`.
+            colliders: Colliders at the start.
+        """
+        return []
+
+    def build_particles(self, scene: Any) -> list:
+        """Return the particles of each of its particle sources, as a `BuiltObject`."""
         return []
 
     def prepare(self, scene: Any, particles: InitialParticles, colliders: list) -> Any:
@@ -283,6 +345,11 @@ def section_tables() -> dict[str, type[BaseModel]]:
 def table_lists() -> dict[str, TableList]:
     """Return the lists of tables of all features by name, in the order of the features."""
     return {name: tables for feature in features() for name, tables in feature.lists.items()}
+
+
+def source_lists() -> list[str]:
+    """Return the names of the lists whose items are particle sources."""
+    return [name for name, tables in table_lists().items() if tables.holds_particles]
 
 
 def check_object(raw: dict) -> Errors:

@@ -177,7 +177,7 @@ def _run(plan: Plan, calls: list[tuple] | None) -> None:
     middle = 0.5 * np.array(plan.cells) * plan.dx
     owners = np.array([k for k, g in enumerate(plan.group_of) if g >= 0 and plan.count[k]], int)
     features = [each.for_compilation() for each in plan.features]
-    plan = replace(plan, sources=(), sinks=(), features=tuple(each for each in features if each))
+    plan = replace(plan, features=tuple(each for each in features if each))
     simulation = Simulation(plan, SerialCommunicator())
     if calls is not None:
         vars(simulation.engine)["call_if_rows"] = lambda key, *call: calls.append(call)

@@ -54,7 +54,7 @@ class ParticleSummary:
 
     @property
     def count(self) -> list[int]:
-        """Return the number of particles of each object and inlet."""
+        """Return the number of particles of each object and particle source."""
         return [entry["row_count"] for entry in self.objects]
 
 
@@ -169,7 +169,7 @@ def _build_or_read(
     passive = _massless(built.passive, "carriers", "weights")
     if exists and resumed:  # the colliders are new, the particles are not
         summary = known_of(scene, built)
-        if scene.inlet and path is not None:  # the inlet particles are as many as were reserved
+        if scene.particle_sources and path is not None:  # as many particles as were reserved
             summary = replace(summary, objects=read_gaussians(path).objects)
         return summary, {}
     return known_of(scene, built), {"rows": rows, "scenery": scenery, "passive": passive}
@@ -213,7 +213,7 @@ def _summary_of(scene, objects, particles, x, colliders) -> ParticleSummary:
 
     Args:
         scene: The scene.
-        objects: Entries of the objects and inlets.
+        objects: Entries of the objects and particle sources.
         particles: Particles with object (n,), vol0 (n,) [m3] and sh (n, K, 3).
         x: Positions, shape (n, 3) [m].
         colliders: Colliders of the scene.

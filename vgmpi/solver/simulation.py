@@ -93,8 +93,8 @@ class Simulation:
     ) -> None:  # fmt: skip
         """Insert the initial particles, unstrained or compressed. Collective; call it once.
 
-        Their order and their distribution over the ranks do not matter. Particles of inlets are
-        left out; the inlets spawn them.
+        Their order and their distribution over the ranks do not matter. Features may
+        leave out particles that enter later.
 
         Args:
             x: Positions, shape (n, 3) [m].

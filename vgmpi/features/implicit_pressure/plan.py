@@ -139,9 +139,6 @@ def obstacles(
         for key, value in values.items():
             if value:
                 _refuse(("object", k, key), "colliders and bodies that are held or moved")
-    for name, items in (("inlet", scene.inlet), ("outlet", scene.outlet)):
-        if items:
-            _refuse((name, 0), "inlets and outlets")
     for feature in features():
         for name in () if feature.pushes_alone else feature.lists:
             if scene.lists[name]:

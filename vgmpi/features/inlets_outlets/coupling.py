@@ -1,14 +1,13 @@
 """Inlets and outlets: particles are spawned by layers, carried to the mouth, released one by one.
 
-The place of a particle in a nozzle follows from its id and the time alone
-(planning/inlet_schedule.py), so a release suits the particle at any time, on any number of ranks
-and after a restart. Until its release a particle has the inlet's velocity and the reference state,
-whatever the grid says. It is released a little before the mouth (RELEASE_OFFSET_CELLS of
-planning/inlet_schedule.py), so that its fall begins there. Particles inside an outlet are removed
-after every fourth step.
+The place of a particle in a nozzle follows from its id and the time alone (plan.py), so a release
+suits the particle at any time, on any number of ranks and after a restart. Until its release a
+particle has the inlet's velocity and the reference state, whatever the grid says. It is released a
+little before the mouth (RELEASE_OFFSET_CELLS of plan.py), so that its fall begins there. Particles
+inside an outlet are removed after every fourth step.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,15 +15,19 @@ from vgmpi.features.active_feature import ActiveFeature, StartContext
 from vgmpi.features.particle_insertion import (
     ParticleRows,
     bounds_of,
+    bounds_of_idle_group,
     remove_particles,
 )
 from vgmpi.gaussians.shape_distance import distance
 from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
+from vgmpi.io.checkpoint import Checkpoint
 from vgmpi.kernels.step_records import ParticleBounds, StepMaxima, StepReport, StepSpan
 from vgmpi.parallel.block_lattice import BITS, BLOCK_CENTER, BLOCK_EDGE
 from vgmpi.parallel.particle_group import ParticleGroup
-from vgmpi.planning.inlet_schedule import InletPlan, OutletPlan
 from vgmpi.preprocess.shape_sdf import blend_overhang, support
+
+from .flow_accounting import FlowAccounting
+from .plan import InletPlan, InletsOutletsPlan, OutletPlan
 
 INTERVAL = 4  # [steps] between removals, by step number, so that a restart does not shift them
 STRAY_CELLS = 4.0  # [cells] greatest distance of a particle from its block's center between sorts
@@ -54,38 +57,33 @@ class _Carried(NamedTuple):
         )
 
 
-class Inlets(ActiveFeature):
+class Inlets:
     """Inlets of a run."""
 
-    def __init__(self, context: StartContext):
+    def __init__(self, inlets: tuple[InletPlan, ...], context: StartContext):
         """Compute the bounds that hold while an inlet is active."""
-        self.plan, self.ranks, self.groups = context.plan, context.ranks, context.groups
-        self.insert = context.insert
+        self.inlets, self.plan, self.ranks = inlets, context.plan, context.ranks
+        self.groups, self.insert = context.groups, context.insert
         self.carried: list[_Carried] = []
         self.active_bounds, plan = ParticleBounds(), self.plan  # bounds of active inlets
-        for source in plan.sources:
+        for source in inlets:
             group, v = plan.groups[source.group], source.velocity[None]
             own = bounds_of(plan, group, [group.reference], v, np.zeros((1, 9)))
             self.active_bounds = self.active_bounds.merge(own)
-        self.last_passage = max(source.mouth_time(source.particles - 1) for source in plan.sources)
+        ends = [source.mouth_time(source.particles - 1) for source in inlets]
+        self.last_passage = max(ends, default=-np.inf)
 
     def initial_particles(self, rows: list[ParticleRows]) -> list[ParticleRows]:
         """Return the particles at the start: without those to come, with those of first layers."""
-        count = self.plan.initial_particle_count
-        return [*(each.select(each.ids < count) for each in rows), *self.spawn(None, 0.0)]
+        if self.inlets:
+            rows = [each.select(each.ids < self.inlets[0].first) for each in rows]
+        return [*rows, *self.spawn(None, 0.0)]
 
-    def begin_run(self, bounds: ParticleBounds) -> ParticleBounds:
-        """Return the bounds of the particles and of active inlets at the start."""
-        return self._merge_bounds(bounds, 0.0)
-
-    def adjust_bounds(self, span: StepSpan, bounds: ParticleBounds) -> ParticleBounds:
-        """Return the bounds of the particles and of active inlets."""
-        return self._merge_bounds(bounds, span.end)
-
-    def _merge_bounds(self, bounds: ParticleBounds, time: float) -> ParticleBounds:
+    def merge_bounds(self, bounds: ParticleBounds, time: float) -> ParticleBounds:
+        """Return the bounds of the particles and of inlets that are active at a time [s]."""
         return bounds.merge(self.active_bounds) if time <= self.last_passage else bounds
 
-    def needs_sort(self, span: StepSpan, maxima: StepMaxima) -> bool:
+    def insert_layers(self, span: StepSpan) -> bool:
         """Insert the layers that are due; return whether there are any."""
         is_due = self.due(span.start, span.end)
         if is_due:
@@ -95,7 +93,7 @@ class Inlets(ActiveFeature):
     def find_particles(self, time: float) -> None:
         """Locate the particles in the nozzles."""
         self.carried = []
-        for source in self.plan.sources:
+        for source in self.inlets:
             group = self.groups[source.group]
             first = source.first + source.released(time)
             last = source.first + source.spawned(time)
@@ -105,13 +103,13 @@ class Inlets(ActiveFeature):
             let_go = source.release_time(ids - source.first)
             self.carried.append(_Carried(source, group, indices, block, ids, let_go))
 
-    def end_step(self, span: StepSpan, report: StepReport) -> StepReport:
+    def move_particles(self, time: float, report: StepReport) -> StepReport:
         """Move the nozzle particles to their places, and release those that are due.
 
         Returns:
             The step's report, with the distance of nozzle particles from their blocks' centers.
         """
-        distance, time = report.stray, span.end
+        distance = report.stray
         for carried in self.carried:
             if len(carried.indices):
                 distance = max(distance, self._set_positions(carried, time))
@@ -164,14 +162,14 @@ class Inlets(ActiveFeature):
         """Return the half-open range of particles that each inlet spawns in the interval."""
         return [
             (0 if before is None else source.spawned(before), source.spawned(time))
-            for source in self.plan.sources
+            for source in self.inlets
         ]
 
     def spawn(self, before: float | None, time: float) -> list[ParticleRows]:
         """Return the particles spawned in the interval, all on rank 0; a sort distributes them."""
         if self.ranks.rank != 0:
             return []
-        spans = zip(self.plan.sources, self._spans(before, time), strict=True)
+        spans = zip(self.inlets, self._spans(before, time), strict=True)
         return [self._rows(source, *span, time) for source, span in spans if span[0] < span[1]]
 
     def _rows(self, source: InletPlan, first: int, last: int, time: float) -> ParticleRows:
@@ -194,11 +192,6 @@ class Inlets(ActiveFeature):
         return max(1, *(group.coefficients for group in self.plan.groups))
 
 
-def start_inlets(context: StartContext) -> Inlets | None:
-    """Return the inlets of a run, or None if it has none."""
-    return Inlets(context) if context.plan.sources else None
-
-
 class _Region:
     """Outlet with its bounding box."""
 
@@ -216,23 +209,23 @@ class _Region:
         return np.asarray(inside.all(axis=1))
 
 
-class Outlets(ActiveFeature):
+class Outlets:
     """Outlets of a run."""
 
-    def __init__(self, context: StartContext):
-        """Hold the outlets of the plan and the accounting that counts removed particles."""
-        self.plan, self.groups = context.plan, context.groups
-        self.flow: Any = context.features["flow_accounting"]
-        self.move_particles = context.move_particles
-        self.regions = [_Region(sink) for sink in self.plan.sinks]
+    def __init__(
+        self, outlets: tuple[OutletPlan, ...], flow: FlowAccounting, context: StartContext
+    ):
+        """Hold the outlets and the accounting that counts removed particles."""
+        self.plan, self.groups, self.flow = context.plan, context.groups, flow
+        self.note_moved = context.move_particles
+        self.regions = [_Region(outlet) for outlet in outlets]
 
-    def end_step(self, span: StepSpan, report: StepReport) -> StepReport:
+    def remove_particles(self, span: StepSpan) -> None:
         """Remove this rank's particles inside an outlet, after every INTERVAL steps."""
-        if span.number % INTERVAL == 0:
+        if self.regions and span.number % INTERVAL == 0:
             removed = [self._remove_from(group, g, span.end) for g, group in enumerate(self.groups)]
             if any(removed):  # others on this rank have new indices
-                self.move_particles()
-        return report
+                self.note_moved()
 
     def _remove_from(self, group: ParticleGroup, g: int, time: float) -> bool:
         """Remove a group's particles inside outlets; return whether there were any."""
@@ -252,6 +245,75 @@ class Outlets(ActiveFeature):
         return any_removed
 
 
-def start_outlets(context: StartContext) -> Outlets | None:
-    """Return the outlets of a run, or None if it has none."""
-    return Outlets(context) if context.plan.sinks else None
+class InletsOutlets(ActiveFeature):
+    """Inlets, outlets and the accounting of what enters and leaves on one rank."""
+
+    def __init__(self, plan: InletsOutletsPlan, context: StartContext):
+        """Set up the inlets and outlets of a plan."""
+        self.plan, self.flow = context.plan, FlowAccounting(context)
+        self.inlets = Inlets(plan.inlets, context)
+        self.outlets = Outlets(plan.outlets, self.flow, context)
+
+    def initial_particles(self, rows: list[ParticleRows]) -> list[ParticleRows]:
+        """Return the particles at the start, with those of first layers."""
+        return self.inlets.initial_particles(rows)
+
+    def begin_run(self, bounds: ParticleBounds) -> ParticleBounds:
+        """Return the bounds of the particles and of active inlets at the start."""
+        return self.inlets.merge_bounds(bounds, 0.0)
+
+    def saved(self) -> dict:
+        """Return the totals of all ranks. Collective."""
+        return {"flow": self.flow.totals()}
+
+    def restore(self, saved: Checkpoint) -> None:
+        """Restore the totals of all ranks.
+
+        Args:
+            saved: The checkpoint.
+        """
+        self.flow.restore(saved)
+
+    def find_particles(self, time: float) -> None:
+        """Locate the particles in the nozzles."""
+        self.inlets.find_particles(time)
+
+    def count_inserted(self, rows: ParticleRows) -> None:
+        """Count the particles that entered on this rank."""
+        self.flow.insert(rows)
+
+    def count_transferred(self, group: int, other: int, volume: np.ndarray) -> None:
+        """Count particles that moved from one group to another.
+
+        Args:
+            group, other, volume: See `ActiveFeature.count_transferred`.
+        """
+        self.flow.transfer(group, other, volume)
+
+    def carried_particles(self, group: ParticleGroup) -> np.ndarray:
+        """Return the indices (n,) of particles of a group that are in a nozzle."""
+        carried = [each.indices for each in self.inlets.carried if each.group is group]
+        return np.concatenate([np.zeros(0, np.int64), *carried])
+
+    def end_correction(self, time: float) -> None:
+        """Reset what a step of no time, at `time` [s], has changed of the nozzle particles."""
+        self.inlets.end_correction(time)
+
+    def end_step(self, span: StepSpan, report: StepReport) -> StepReport:
+        """Move the nozzle particles, then remove those in outlets."""
+        report = self.inlets.move_particles(span.end, report)
+        self.outlets.remove_particles(span)
+        return report
+
+    def adjust_bounds(self, span: StepSpan, bounds: ParticleBounds) -> ParticleBounds:
+        """Return the bounds of the next step; those of an idle group while there is no particle."""
+        bounds = bounds if bounds.rate else bounds_of_idle_group(self.plan)
+        return self.inlets.merge_bounds(bounds, span.end)
+
+    def needs_sort(self, span: StepSpan, maxima: StepMaxima) -> bool:
+        """Insert the layers that are due; return whether there are any."""
+        return self.inlets.insert_layers(span)
+
+    def phase_entries(self) -> list[dict[str, float]]:
+        """Return what came, what went and what is present of each phase. Collective."""
+        return self.flow.phase_entries()

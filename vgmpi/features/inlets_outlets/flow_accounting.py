@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from vgmpi.features.active_feature import ActiveFeature, StartContext
-from vgmpi.features.particle_insertion import ParticleRows, bounds_of_idle_group
+from vgmpi.features.active_feature import StartContext
+from vgmpi.features.particle_insertion import ParticleRows
 from vgmpi.io.checkpoint import Checkpoint, Mismatch, is_count
-from vgmpi.kernels.step_records import ParticleBounds, StepSpan
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.planning.region_groups import groups_of_particles
 
@@ -19,7 +18,7 @@ LIMB, LIMBS = 31, 4  # [bits] size, and number, of the integers that carry a sum
 MASK = (1 << LIMB) - 1
 
 
-class FlowAccounting(ActiveFeature):
+class FlowAccounting:
     """This rank's contribution to the inflow and outflow totals.
 
     `part` has one row per group: particles in (at the start and since), their volume, particles
@@ -31,7 +30,7 @@ class FlowAccounting(ActiveFeature):
         self.plan, self.ranks, self.groups = context.plan, context.ranks, context.groups
         self.part = [[0, 0, 0, 0] for _ in self.plan.groups]
 
-    def count_inserted(self, rows: ParticleRows) -> None:
+    def insert(self, rows: ParticleRows) -> None:
         """Count the particles that entered on this rank."""
         if len(rows.ids):
             group_of = groups_of_particles(self.plan, rows.ids, rows.owner)
@@ -76,17 +75,9 @@ class FlowAccounting(ActiveFeature):
             mine.append([len(volume), self._counted(volume)])
         return allreduce_bigint(mine, self.ranks)
 
-    def adjust_bounds(self, span: StepSpan, bounds: ParticleBounds) -> ParticleBounds:
-        """Return the bounds of the next step; those of an idle group while there is no particle."""
-        return bounds if bounds.rate else bounds_of_idle_group(self.plan)
-
     def totals(self) -> list[list[int]]:
         """Return the totals of all ranks together, on every rank. Collective."""
         return allreduce_bigint(self.part, self.ranks)
-
-    def saved(self) -> dict:
-        """Return the totals of all ranks. Collective."""
-        return {"flow": self.totals()}
 
     def restore(self, saved: Checkpoint) -> None:
         """Restore the totals of all ranks, which rank 0 then holds.
@@ -113,10 +104,35 @@ class FlowAccounting(ActiveFeature):
         cells = volume / (1 << BITS)
         return float(self.plan.groups[group].density * self.plan.dx**3 * cells)
 
+    def phase_entries(self) -> list[dict[str, float]]:
+        """Return particles and mass of each phase that came, went and are present. Collective.
 
-def start(context: StartContext) -> FlowAccounting | None:
-    """Return the accounting of a run with inlets or outlets, or None."""
-    return FlowAccounting(context) if context.plan.is_open_system else None
+        All are counted the same way.
+        """
+        passed, present = self.totals(), self.current_totals()
+        totals = [[*row, *now] for row, now in zip(passed, present, strict=True)]
+        return [self._entry(phase, totals) for phase in range(len(self.plan.phases))]
+
+    def _entry(self, phase: int, totals: list[list[int]]) -> dict[str, float]:
+        """Return the columns of one phase.
+
+        Args:
+            phase: Index of the phase.
+            totals: Particles and volume in, out and present, by group.
+        """
+        members = [g for g, group in enumerate(self.plan.groups) if group.phase == phase]
+        count_in, count_out, count = (sum(totals[g][c] for g in members) for c in (0, 2, 4))
+        mass_in, mass_out, mass = (
+            sum(self.mass(g, totals[g][c]) for g in members) for c in (1, 3, 5)
+        )
+        return {
+            "particles": count,
+            "mass": mass,
+            "particles_in": count_in,
+            "mass_in": mass_in,
+            "particles_out": count_out,
+            "mass_out": mass_out,
+        }
 
 
 def allreduce_bigint(rows: list[list[int]], ranks: SerialCommunicator) -> list[list[int]]:

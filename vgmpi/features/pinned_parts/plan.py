@@ -134,7 +134,7 @@ def plan_pinned_parts(
 
     Args:
         groups: Groups as if nothing were pinned.
-        group_of: Group of each object and inlet, likewise.
+        group_of: Group of each object and particle source, likewise.
         regions: Pinned parts with their particles.
 
     Returns:

@@ -1,5 +1,7 @@
 """Bodies with prescribed motion in a step."""
 
+import numpy as np
+
 from vgmpi.features.active_feature import ActiveFeature, StartContext
 from vgmpi.features.particle_insertion import bounds_of_idle_group
 from vgmpi.kernels.rigid.prescribed_motion import PrescribedBodies
@@ -11,7 +13,7 @@ class PrescribedMotion(ActiveFeature):
 
     def __init__(self, context: StartContext):
         """Take the bodies."""
-        self.plan = context.plan
+        self.plan, self.ranks, self.groups = context.plan, context.ranks, context.groups
         self.bodies: PrescribedBodies = context.prescribed
 
     def limit_rate(self, time: float, rate: float) -> float:
@@ -30,6 +32,15 @@ class PrescribedMotion(ActiveFeature):
     def adjust_bounds(self, span: StepSpan, bounds: ParticleBounds) -> ParticleBounds:
         """Return the bounds of the next step; if all is prescribed, none of its length."""
         return bounds if bounds.rate else bounds_of_idle_group(self.plan)._replace(rate=0.0)
+
+    def phase_entries(self) -> list[dict[str, float]]:
+        """Return the present particles of each phase: released bodies change theirs. Collective."""
+        counts = self.ranks.sum(np.array([len(group) for group in self.groups], np.int64))
+        phases, groups = range(len(self.plan.phases)), self.plan.groups
+        return [
+            {"particles": sum(int(counts[g]) for g, group in enumerate(groups) if group.phase == p)}
+            for p in phases
+        ]
 
 
 def start(context: StartContext) -> PrescribedMotion | None:

@@ -59,7 +59,7 @@ class Reactions(ActiveFeature):
         for g, group in enumerate(groups):
             max_volume[g] = group.get("vol0", group.index()).max(initial=0.0)
         max_volume = self.ranks.max(max_volume)
-        if self.plan.sources:  # perhaps no inlet particle exists yet
+        if self.plan.has_sources:  # perhaps no particle of a source exists yet
             max_volume = np.maximum(max_volume, self.plan.dx**3)
         self.mass = sum(
             n * float(max_volume[g]) * self.plan.groups[g].density

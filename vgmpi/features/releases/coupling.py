@@ -1,7 +1,5 @@
 """Releases: prescribed bodies join the groups in which they move freely, and walls vanish."""
 
-from typing import Any
-
 import numpy as np
 
 from vgmpi.features.active_feature import ActiveFeature, StartContext
@@ -23,7 +21,7 @@ class Releases(ActiveFeature):
         """Sort the release layers by time."""
         plan = self.plan = context.plan
         self.ranks, self.groups, self.engine = context.ranks, context.groups, context.engine
-        self.flow: Any = context.features.get("flow_accounting")
+        self.features = context.features
         self.has_released = False  # in the present step
         parts = [part for feature in plan.features for part in feature.released_parts()]
         bodies = [*plan.driven, *parts]
@@ -111,9 +109,9 @@ class Releases(ActiveFeature):
         limits = bounds_of_particles(self.plan, group, indices)
         remove_particles(group, indices)
         append_particles(target, block, xi, channels, ids)
-        if self.flow is not None:
-            volume = channels[group.plan.channels["vol0"].first]
-            self.flow.transfer(body.group, body.group_after_release, volume)
+        volume = channels[group.plan.channels["vol0"].first]
+        for feature in self.features.values():
+            feature.count_transferred(body.group, body.group_after_release, volume)
         return limits
 
 

@@ -46,7 +46,7 @@ class ThinWalls(ActiveFeature):
         plan, self.plan = context.plan, own
         self.dx, self.cells = plan.dx, plan.cells
         self.rows = np.array(own.side), np.array(own.twin)  # of the phases
-        self.flow: Any = context.features.get("flow_accounting")
+        self.features = context.features
         self.movers: MovingColliders = context.movers
         self.groups = context.groups
         self.twin = own.twin_group
@@ -102,9 +102,9 @@ class ThinWalls(ActiveFeature):
             remove_particles(self.groups[g], indices)
         for (g, _), row in zip(moved, rows, strict=True):
             append_particles(self.groups[self.twin[g]], *row)
-            if self.flow is not None:
-                volume = row[2][self.groups[g].plan.channels["vol0"].first]
-                self.flow.transfer(g, self.twin[g], volume)
+            volume = row[2][self.groups[g].plan.channels["vol0"].first]
+            for feature in self.features.values():
+                feature.count_transferred(g, self.twin[g], volume)
         return True
 
     def _sided_groups(self) -> list[int]:

@@ -37,7 +37,7 @@ class Snapshot(NamedTuple):
 
     time: float  # [s]
     steps: float  # since the moment before, converted to the scene's own cells
-    number: tuple[int, ...]  # particles of each object and inlet, converted to the scene's own
+    number: tuple[int, ...]  # particles of each object and source, converted to the scene's own
     proximity: tuple[Proximity, ...]  # proximity of each, converted to the scene's own cells
     coarse: CoarseStep = CoarseStep()
 

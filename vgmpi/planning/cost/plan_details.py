@@ -7,7 +7,6 @@ from pathlib import Path
 
 from vgmpi.materials.couplings.interaction import CONTACT, RULES
 from vgmpi.planning.correction_intervals import shift_cost
-from vgmpi.planning.inlet_schedule import InletPlan
 from vgmpi.planning.plan import Plan
 from vgmpi.planning.region_groups import group_counts
 from vgmpi.planning.step_costs import COSTS
@@ -40,7 +39,7 @@ def plan_details(scene: Scene, plan: Plan, pace: Throughput) -> list[str]:
     lines = [f"  precision   {scene.accuracy.precision}: {PRECISION[scene.accuracy.precision]}"]
     lines += _phases(plan) + _regions(scene, plan) + _couplings(plan) + _walls(plan)
     lines += [line for feature in plan.features for line in feature.report_lines(plan)]
-    lines += _flows(plan) + _accuracy_notes(scene, plan)
+    lines += _accuracy_notes(scene, plan)
     return lines + preset_accuracy_lines(scene) + feature_table(scene, plan, pace)
 
 
@@ -97,24 +96,6 @@ def _regions(scene: Scene, plan: Plan) -> list[str]:
         f" {escape_control_characters(plan.groups[region.group].material)}"
         for region in plan.regions
     ]
-
-
-def _flows(plan: Plan) -> list[str]:
-    """Return the lines on inlets and outlets; memory and time include all that enters."""
-    lines = [
-        f"  inlet       {escape_control_characters(source.name)}:"
-        f" {source.particles:,} particles,"
-        f" {len(source.mouth)} every {source.period:.4g} s, at {source.speed:.4g} m/s:"
-        f" {_flow(plan, source):.4g} kg/s"
-        for source in plan.sources
-    ]
-    return lines + [f"  outlet      {escape_control_characters(sink.name)}" for sink in plan.sinks]
-
-
-def _flow(plan: Plan, source: InletPlan) -> float:
-    """Return the mass flow rate of an inlet [kg/s]."""
-    density = plan.groups[source.group].density
-    return density * len(source.mouth) * source.volume / source.period
 
 
 def _accuracy_notes(scene: Scene, plan: Plan) -> list[str]:

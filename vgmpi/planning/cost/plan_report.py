@@ -17,7 +17,7 @@ from . import tradeoff_results
 from .feature_costs import step_ns
 from .pilot_result import PilotRun
 from .plan_details import plan_details
-from .run_estimate import pours_onto_bodies, step_count, step_seconds, writing_seconds
+from .run_estimate import sources_meet_bodies, step_count, step_seconds, writing_seconds
 from .scene_warnings import note_lines, warning_lines
 from .throughput import ASSUMED_THROUGHPUT, Throughput
 from .timestep_advice import limiting_material_lines, pruning_lines
@@ -73,7 +73,7 @@ def format_plan(
 def _unknown_part(scene: Scene, plan: Plan, pilot: PilotRun | None) -> str:
     """Return a clause on what the time does not count, or an empty text.
 
-    Without a pilot run particles have the price of their places at the start, and those of inlets
+    Without a pilot run particles have the price of their places at the start, and those of sources
     that of a liquid that touches nothing.
     """
     if pilot is not None:
@@ -84,8 +84,9 @@ def _unknown_part(scene: Scene, plan: Plan, pilot: PilotRun | None) -> str:
             f"; the pilot run was ended at {pilot.reached:.3g} of {end:g} s: what meets, spreads or"
             " breaks later may cost more or less"
         )
-    if pours_onto_bodies(scene, plan):
-        names = ", ".join(escape_control_characters(source.name) for source in plan.sources)
+    if sources_meet_bodies(scene, plan):
+        sources = [name for feature in plan.features for name in feature.source_names]
+        names = ", ".join(map(escape_control_characters, sources))
         return (
             f"; what pours from {names} costs more where it meets bodies and spreads: --pilot finds"
             " out how much"
@@ -142,7 +143,7 @@ def _steps(
         less, all_of_it = (format_duration(f * few * each + written) for f in (factor, 1.0))
         return f"about {less} instead of {all_of_it}"
 
-    if rehearsal is None and pours_onto_bodies(scene, plan):
+    if rehearsal is None and sources_meet_bodies(scene, plan):
         duration_text = duration_text.replace("about", "at least")
     unknown = _unknown_part(scene, plan, rehearsal)
     duration_line = f"{duration_text} on {ranks} rank(s), one core each, {pace.origin}{unknown}"

@@ -58,32 +58,29 @@ def step_seconds(
     return 1e-9 * ns / ranks * rank_overhead(plan, ranks) + overhead
 
 
-def pours_onto_bodies(scene: Scene, plan: Plan) -> bool:
-    """Return whether what inlets pour may meet bodies or colliders, so that its price is unknown.
+def sources_meet_bodies(scene: Scene, plan: Plan) -> bool:
+    """Return whether what sources insert may meet bodies or colliders: its price is unknown.
 
     Args:
         scene: The scene.
         plan: Its plan.
     """
     is_met = len(plan.phases) > 1 or any(obj.collider for obj in scene.object)
-    return bool(plan.sources) and is_met
+    return plan.has_sources and is_met
 
 
 def mean_counts(plan: Plan) -> tuple[int, ...]:
-    """Return the mean number of particles of each object and inlet over the run.
+    """Return the mean number of particles of each object and particle source over the run.
 
-    Those of an inlet enter one after the other; what leaves through outlets is not known.
+    Those of a source enter one after the other; what leaves the domain is not known.
 
     Args:
         plan: The plan.
     """
-    counts, end = list(plan.count), float(plan.times[-1])
-    for source in plan.sources:
-        middle = 0.5 * (source.mouth_time(0) + source.mouth_time(source.particles - 1))  # [s]
-        counts[source.entity] = round(
-            counts[source.entity] * min(max(1.0 - middle / end, 0.0), 1.0)
-        )
-    return tuple(counts)
+    counts = dict(enumerate(plan.count))
+    for feature in plan.features:
+        counts |= feature.mean_counts(plan)
+    return tuple(counts.values())
 
 
 def rank_overhead(plan: Plan, ranks: int) -> float:

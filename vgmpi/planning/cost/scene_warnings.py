@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 from vgmpi.materials.liquid_stiffness import Liquid
-from vgmpi.planning.plan import Plan, time_step_bounds
+from vgmpi.planning.plan import Plan, initial_speeds, time_step_bounds
 from vgmpi.runtime.config.toml_source import escape_control_characters
 from vgmpi.scene.scene import Scene
 from vgmpi.scene.scene_feature import features
@@ -62,7 +62,7 @@ def _stiff_liquids(scene: Scene, plan: Plan) -> list[str]:
         return []
     bounds = time_step_bounds(scene, plan)
     dt, cause = bounds[0]
-    begun = [obj.speed for obj in scene.object] + [source.speed for source in plan.sources]
+    begun = initial_speeds(scene, plan)
     fastest = math.sqrt(max(begun) ** 2 + 2.0 * drop)
     for name, liquid in _liquids(scene).items():
         wave = math.sqrt(liquid.tait_coefficient * liquid.exponent / liquid.density)

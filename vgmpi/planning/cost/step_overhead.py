@@ -8,7 +8,6 @@ STEP_SECONDS = 1e-4  # a step of one phase (`python -m tests.benchmarks overhead
 PHASE_SECONDS = 1.5e-4  # each further phase
 COLLIDER_SECONDS = 1.5e-4  # a collider at rest
 MOVING_COLLIDER_SECONDS = 1.5e-3  # one that moves
-INLET_SECONDS = 3e-4
 
 
 def step_overhead(scene: Scene, plan: Plan) -> float:
@@ -27,5 +26,4 @@ def step_overhead(scene: Scene, plan: Plan) -> float:
         + COLLIDER_SECONDS * (len(colliders) - moving)
         + MOVING_COLLIDER_SECONDS * moving
         + sum(feature.step_seconds for feature in plan.features)
-        + INLET_SECONDS * len(plan.sources)
     )

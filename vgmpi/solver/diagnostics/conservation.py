@@ -1,11 +1,9 @@
 """Conservation monitor: mass, momentum and energy of each phase, for any number of ranks."""
 
 import math
-from typing import Any
 
 import numpy as np
 
-from vgmpi.features.inlets_outlets.flow_accounting import FlowAccounting, allreduce_bigint
 from vgmpi.kernels.diagnostics import COLUMNS, body_momentum_rows, segment_conservation_rows
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.solver.simulation import Simulation
@@ -29,14 +27,7 @@ def conservation_rows(simulation: Simulation) -> list[dict]:
         if any(len(sums) in feature.uncounted_groups for feature in plan.features):
             rows[:, 1:8] = rows[:, 9] = 0.0  # part of the columns of rigid bodies
         sums.append(simulation.ranks.gather_rows(rows))
-    accounting: Any = simulation.features.get("flow_accounting")
-    flow: list = []
-    if accounting is not None:
-        passed, present = accounting.totals(), accounting.current_totals()
-        flow = [[*row, *now] for row, now in zip(passed, present, strict=True)]
-    counts: list[list[int]] = []
-    if plan.driven:  # released bodies change their phase
-        counts = allreduce_bigint([[len(group)] for group in simulation.groups], simulation.ranks)
+    own = [feature.phase_entries() for feature in simulation.features.values()]
     fill = liquid_fill(simulation)
     if simulation.ranks.rank != 0:
         return []
@@ -45,40 +36,14 @@ def conservation_rows(simulation: Simulation) -> list[dict]:
         unknown = LiquidFill(*(4 * (math.nan,)))
         for k, entry in enumerate(entries):
             entry |= fill.get(k, unknown)._asdict()
-    for k, entry in enumerate(entries if counts else ()):
-        members = [g for g, group in enumerate(plan.groups) if group.phase == k]
-        entry["particles"] = sum(counts[g][0] for g in members)
-    if accounting is not None:
-        for k, entry in enumerate(entries):
-            entry |= _flow(accounting, k, flow)
+    for columns in own:
+        for entry, values in zip(entries, columns):
+            entry |= values
     for feature in simulation.features.values():
         more = feature.conserved(simulation.time)
         for k, entry in enumerate(entries):
             entry |= {name: value if k == 0 else 0.0 for name, value in more.items()}
     return entries
-
-
-def _flow(accounting: FlowAccounting, phase: int, totals: list[list[int]]) -> dict:
-    """Return the in, out and present totals of a phase, all counted the same way.
-
-    Args:
-        accounting: Accounting of the open system.
-        phase: Index of the phase.
-        totals: Particles and volume in, out and present, by group.
-    """
-    members = [g for g, group in enumerate(accounting.plan.groups) if group.phase == phase]
-    count_in, count_out, count = (sum(totals[g][c] for g in members) for c in (0, 2, 4))
-    mass_in, mass_out, mass = (
-        sum(accounting.mass(g, totals[g][c]) for g in members) for c in (1, 3, 5)
-    )
-    return {
-        "particles": count,
-        "mass": mass,
-        "particles_in": count_in,
-        "mass_in": mass_in,
-        "particles_out": count_out,
-        "mass_out": mass_out,
-    }
 
 
 def _entry(simulation: Simulation, phase: int, sums: list) -> dict:

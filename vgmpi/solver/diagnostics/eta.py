@@ -79,12 +79,14 @@ class RemainingTimeEstimator:
 
 def work_of(plan: Plan) -> Callable[[float], float]:
     """Return the work of a step as a function of time [s]: its particles, or 1 if unknown."""
-    if not plan.sources or plan.sinks:
+    if not plan.has_sources or any(feature.removes_particles for feature in plan.features):
         return lambda time: 1.0
 
     def particles(time: float) -> float:
         """Return the particles of a step at a time [s]."""
-        spawned = sum(source.spawned(time) for source in plan.sources)
-        return float(plan.initial_particle_count + spawned)
+        counts = dict(enumerate(plan.count))
+        for feature in plan.features:
+            counts |= feature.inserted_counts(time)
+        return float(sum(counts.values()))
 
     return particles

@@ -153,7 +153,7 @@ def timing_table(run: Runner, clock: Clock) -> str:
     if not particles:
         counted = [feature.counted for feature in run.plan.features if feature.counted[0]]
         particles, unit, units = counted[0] if counted else (particles, unit, units)
-    if run.plan.is_open_system:  # the particles present now
+    if run.plan.changes_mass:  # the particles present now
         particles = max(1, sum(entry["particles"] for entry in run.latest_conservation))
     lines = [f"{steps:,} steps of {particles:,} {units} in {wall:.1f} s on {ranks.size} rank(s)"]
     if steps and wall > 0:

@@ -17,11 +17,11 @@ _NONE = np.zeros(0, np.int64)
 def surroundings(
     scene: Scene, objects: list[dict], x: np.ndarray, colliders: Sequence
 ) -> tuple[Proximity, ...]:
-    """Measure the proximity of each object at the start; inlets get an empty one.
+    """Measure the proximity of each object at the start; particle sources get an empty one.
 
     Args:
         scene: The scene.
-        objects: Entries of the objects and inlets, with first and count of their rows in x.
+        objects: Entries of the objects and particle sources, with their first rows and counts in x.
         x: Particle positions, shape (n, 3) [m].
         colliders: Colliders of the scene.
     """

@@ -143,7 +143,7 @@ def _grids(scene: Scene) -> list[Grid]:
 
     Cells that divide every edge of the domain come first, coarsest first. Then the domain is longer
     at its upper ends, by less than a cell, and by two cells more where the end is open, so that
-    inlets near it have room: the grid that differs least from the domain comes first.
+    particle sources near it have room: the grid that differs least from the domain comes first.
     """
     cells, dx = scene.domain.cells, scene.domain.cell
     longest, shortest = max(cells), min(cells)
@@ -232,7 +232,7 @@ def _play(
 def _extrapolated(plan: Plan, last: Snapshot, span: float) -> Snapshot:
     """Return what is expected from a snapshot to the end: steps and places stay as they are.
 
-    Inlets go on: blocks grow as the particles do.
+    Particle sources go on: blocks grow as the particles do.
 
     Args:
         plan: The plan of the scene.
@@ -241,11 +241,12 @@ def _extrapolated(plan: Plan, last: Snapshot, span: float) -> Snapshot:
     """
     end = float(plan.times[-1])
     number, proximity = list(last.number), list(last.proximity)
-    for source in plan.sources:
-        k, middle = source.entity, 0.5 * (last.time + end)
-        growth = source.spawned(middle) / max(source.spawned(last.time), 1)
-        number[k] = round(growth * number[k])
-        proximity[k] = proximity[k].scaled(growth)
+    for feature in plan.features:
+        inserted = feature.inserted_counts(last.time)
+        for k, count in feature.inserted_counts(0.5 * (last.time + end)).items():
+            growth = count / max(inserted[k], 1)
+            number[k] = round(growth * number[k])
+            proximity[k] = proximity[k].scaled(growth)
     steps = last.steps / span * (end - last.time)
     return Snapshot(end, steps, tuple(number), tuple(proximity), last.coarse)
 

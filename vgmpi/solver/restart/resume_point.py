@@ -60,7 +60,7 @@ def find_resume_point(
     present = False, False
     if ranks.rank == 0:  # it reads the tables
         present = optional_ledger_columns(ledger, *present)
-    columns = ledger_columns(scene.is_open_system, *present)
+    columns = ledger_columns(scene.changes_mass, *present)
     tables = {ledger: columns, **files(scene, folder)}
     verify_logs(tables, ranks, attrs["step"], attrs.get("log_checksums", {}))
     return scene, ResumePoint(path, attrs, history)

@@ -55,7 +55,7 @@ class RunFiles:
         self.frames = Frames(folder, ranks, plan.particles, frame, particles, compresses)
         has_momentum = any(feature.has_momentum for feature in plan.features)
         self.ledger = ConservationLog(
-            folder, ranks, last_step, plan.is_open_system, bool(liquid_phases(plan)), has_momentum
+            folder, ranks, last_step, plan.changes_mass, bool(liquid_phases(plan)), has_momentum
         )
         if last_step is None:
             checkpoint.clear(folder / file_layout.CHECKPOINTS, ranks)

@@ -1,7 +1,7 @@
 """Velocities and forces that a program gives to single particles between two steps."""
 
 import zlib
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -152,7 +152,6 @@ class ParticleChanges(ActiveFeature):
         Raises:
             ValueError: On all ranks, if one is absent or moves as prescribed.
         """
-        inlets: Any = self.simulation.features.get("inlets")
         order = np.argsort(ids)
         ordered, owned, states = ids[order], [], [np.zeros((0, 6))]
         for g, group in enumerate(self.simulation.groups if len(ids) else ()):
@@ -163,8 +162,8 @@ class ParticleChanges(ActiveFeature):
             owned.append(part)
             mass = group.plan.density * group.get("vol0", part.indices).astype(float)
             is_prescribed = np.full(len(part.rows), g in self.prescribed_groups)
-            for carried in inlets.carried if inlets is not None else ():
-                is_prescribed |= (carried.group is group) & np.isin(part.indices, carried.indices)
+            for feature in self.simulation.features.values():
+                is_prescribed |= np.isin(part.indices, feature.carried_particles(group))
             v = group.get("v", part.indices)
             states.append(np.column_stack([part.rows, is_prescribed, mass, v]))
         state = self.ranks.all_rows(np.concatenate(states))

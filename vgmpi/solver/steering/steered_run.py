@@ -127,10 +127,10 @@ class Run:
         return self.arrays(name)[name]
 
     def ids(self, name: str) -> np.ndarray:
-        """Return the ids (n,) of the present particles of an object or inlet. Collective.
+        """Return the ids (n,) of the present particles of an object or particle source. Collective.
 
         Raises:
-            KeyError: If the scene has no object or inlet of that name.
+            KeyError: If the scene has no object or particle source of that name.
 
         Example:
             ```python

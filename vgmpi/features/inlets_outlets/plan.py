@@ -1,20 +1,25 @@
-"""Schedule of inlets by times and ids alone, and regions of outlets.
+"""Plan of inlets and outlets: inlets by times and ids alone, regions of outlets, costs, reports.
 
-The particles of an inlet (scene/inlet_geometry.py) are numbered as they pass the mouth, one by one
+The particles of an inlet (scene/geometry.py) are numbered as they pass the mouth, one by one
 at equal intervals. A layer of them, one per column, is spawned at once at the far end of the
 nozzle. Each particle is carried along, released, and passes the mouth at its own time.
 """
 
 import math
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from vgmpi.scene import inlet_geometry
-from vgmpi.scene.inlets_outlets import Inlet
+from vgmpi.planning.feature_plan import FeaturePlan, PlanDraft
+from vgmpi.planning.plan import Plan
+from vgmpi.runtime.config.toml_source import escape_control_characters
 from vgmpi.scene.scene import Scene
 from vgmpi.scene.sections import WALLS
 from vgmpi.scene.shapes import Shape
+
+from . import geometry
+from .table import Inlet
 
 OPEN_WALL_DEPTH_CELLS = 4  # [cells] depth of an open wall's region; no particle is farther out
 # RELEASE_OFFSET_CELLS is the distance before the mouth [cells] at which a particle is released.
@@ -22,6 +27,7 @@ OPEN_WALL_DEPTH_CELLS = 4  # [cells] depth of an open wall's region; no particle
 # 0.20 cells at 0.6 to 2.5 m/s).
 RELEASE_OFFSET_CELLS = 0.2
 MAX_PARTICLES = 2.0**40  # numbers up to this are exact in the products that give their times
+INLET_SECONDS = 3e-4  # [s] of processor time in a step
 TIE_LAYERS = 1e-6  # [layers] by which rounding may keep one from the end of the run it is due at
 
 
@@ -32,7 +38,7 @@ class InletPlan(NamedTuple):
     """
 
     name: str
-    entity: int  # row among objects and inlets; inlets follow the objects
+    entity: int  # row among objects and particle sources, which follow the objects
     group: int
     first: int  # first id
     mouth: np.ndarray  # (n, 3) [m] positions of a layer's particles in the mouth, as they pass it
@@ -115,12 +121,61 @@ class OutletPlan(NamedTuple):
     since: float = 0.0  # [s] from when on
 
 
+class InletsOutletsPlan(FeaturePlan):
+    """Inlets and outlets of a run."""
+
+    name = "inlets_outlets"
+
+    def __init__(self, inlets: tuple[InletPlan, ...], outlets: tuple[OutletPlan, ...]):
+        """Take the inlets and the outlets; walls that particles leave through are outlets."""
+        self.inlets, self.outlets = inlets, outlets
+        self.source_names = tuple(inlet.name for inlet in inlets)
+        self.source_speeds = tuple(inlet.speed for inlet in inlets)
+        self.removes_particles = bool(outlets)
+        self.step_seconds = INLET_SECONDS * len(inlets)
+
+    def inserted_counts(self, time: float) -> dict[int, int]:
+        """Return the number of particles that each inlet has inserted up to a time [s]."""
+        return {inlet.entity: inlet.spawned(time) for inlet in self.inlets}
+
+    def mean_counts(self, plan: Plan) -> dict[int, int]:
+        """Return the mean number of particles of each inlet over the run."""
+        counts, end = {}, float(plan.times[-1])
+        for inlet in self.inlets:
+            middle = 0.5 * (inlet.mouth_time(0) + inlet.mouth_time(inlet.particles - 1))  # [s]
+            share = min(max(1.0 - middle / end, 0.0), 1.0)
+            counts[inlet.entity] = round(plan.count[inlet.entity] * share)
+        return counts
+
+    def report_lines(self, plan: Plan) -> list[str]:
+        """Return the lines on inlets and outlets; memory and time include all that enters."""
+        lines = [
+            f"  inlet       {escape_control_characters(inlet.name)}:"
+            f" {inlet.particles:,} particles,"
+            f" {len(inlet.mouth)} every {inlet.period:.4g} s, at {inlet.speed:.4g} m/s:"
+            f" {_mass_flow_rate(plan, inlet):.4g} kg/s"
+            for inlet in self.inlets
+        ]
+        names = [escape_control_characters(outlet.name) for outlet in self.outlets]
+        return lines + [f"  outlet      {name}" for name in names]
+
+    def start(self, context: Any) -> Any:
+        """Return the inlets and outlets as they act in a run.
+
+        Args:
+            context: See `FeaturePlan.start`.
+        """
+        from .coupling import InletsOutlets
+
+        return InletsOutlets(self, context)
+
+
 def inlet_speed(scene: Scene, source: Inlet) -> float:
     """Return the speed of an inlet's particles [m/s]."""
     if source.speed is not None:
         return source.speed
-    n = len(inlet_geometry.inlet_points(source, scene.domain.cell))
-    area = n * inlet_geometry.spacing(source, scene.domain.cell) ** 2
+    n = len(geometry.inlet_points(source, scene.domain.cell))
+    area = n * geometry.spacing(source, scene.domain.cell) ** 2
     if source.volume_flow_rate is not None:
         return source.volume_flow_rate / area
     assert source.mass_flow_rate is not None  # ensured by the scene's reader
@@ -133,10 +188,10 @@ def particle_count(scene: Scene, source: Inlet) -> int:
     These are the particles that pass the mouth until the inlet ends, of those spawned during the
     run. The particles that enter up to some time do not depend on when the run ends.
     """
-    n = len(inlet_geometry.inlet_points(source, scene.domain.cell))
-    period = inlet_geometry.spacing(source, scene.domain.cell) / inlet_speed(scene, source)
+    n = len(geometry.inlet_points(source, scene.domain.cell))
+    period = geometry.spacing(source, scene.domain.cell) / inlet_speed(scene, source)
     layers = (scene.time.end - source.start_time) / period
-    layers += inlet_geometry.layers_in_nozzle(source) + TIE_LAYERS
+    layers += geometry.layers_in_nozzle(source) + TIE_LAYERS
     count = n * math.floor(min(layers, MAX_PARTICLES))
     if source.end_time is not None:
         count = min(count, math.floor(n * (source.end_time - source.start_time) / period + 0.5))
@@ -145,7 +200,9 @@ def particle_count(scene: Scene, source: Inlet) -> int:
 
 def outlet_plans(scene: Scene) -> tuple[OutletPlan, ...]:
     """Return the outlets of a scene, then its open walls: one cell deep, with all behind them."""
-    plans = [OutletPlan(sink.name, sink.shape, sink.start_time or 0.0) for sink in scene.outlet]
+    plans = [
+        OutletPlan(sink.name, sink.shape, sink.start_time or 0.0) for sink in scene.lists["outlet"]
+    ]
     dx, size = scene.domain.cell, scene.domain.size
     for name in scene.domain.open_walls:
         axis, side = divmod(WALLS.index(name), 2)
@@ -162,22 +219,25 @@ def outlet_plans(scene: Scene) -> tuple[OutletPlan, ...]:
     return tuple(plans)
 
 
-def inlet_plans(scene: Scene, group_of: tuple, count: list[int]) -> tuple[InletPlan, ...]:
+def inlet_plans(
+    scene: Scene, group_of: Sequence[int], count: Sequence[int]
+) -> tuple[InletPlan, ...]:
     """Return the plans of a scene's inlets.
 
     Args:
         scene: The scene.
-        group_of: Group of each object and inlet.
-        count: Prepared particles of each object and inlet.
+        group_of: Group of each object and particle source.
+        count: Prepared particles of each.
 
     Raises:
         SceneError: An inlet needs more particles than are prepared. A resumed run can only insert
             particles that it prepared at its start.
     """
     plans, errors = [], []
-    objects, dx = len(scene.object), scene.domain.cell
-    for k, source in enumerate(scene.inlet, objects):
-        mouth = inlet_geometry.inlet_points(source, dx)
+    rows, dx = {id(entity): k for k, entity in enumerate(scene.entities)}, scene.domain.cell
+    for source in scene.lists["inlet"]:
+        k = rows[id(source)]
+        mouth = geometry.inlet_points(source, dx)
         ready, needed = int(count[k]), particle_count(scene, source)
         if needed > ready:
             message = (
@@ -189,7 +249,7 @@ def inlet_plans(scene: Scene, group_of: tuple, count: list[int]) -> tuple[InletP
         plans.append(
             InletPlan(
                 source.name, k, group_of[k], int(sum(count[:k])), mouth, source.direction, fast,
-                inlet_geometry.spacing(source, dx), inlet_geometry.layers_in_nozzle(source), ready,
+                geometry.spacing(source, dx), geometry.layers_in_nozzle(source), ready,
                 source.start_time,
                 RELEASE_OFFSET_CELLS * dx / fast, source.color,
             )
@@ -197,3 +257,22 @@ def inlet_plans(scene: Scene, group_of: tuple, count: list[int]) -> tuple[InletP
     if errors:
         raise scene.error(errors)
     return tuple(plans)
+
+
+def plan_inlets_outlets(draft: PlanDraft) -> InletsOutletsPlan:
+    """Plan the inlets and outlets of a scene.
+
+    Args:
+        draft: Phases and groups of the scene.
+
+    Raises:
+        SceneError: See `inlet_plans`.
+    """
+    inlets = inlet_plans(draft.scene, draft.group_of, draft.particle_counts)
+    return InletsOutletsPlan(inlets, outlet_plans(draft.scene))
+
+
+def _mass_flow_rate(plan: Plan, inlet: InletPlan) -> float:
+    """Return the mass flow rate of an inlet [kg/s]."""
+    density = plan.groups[inlet.group].density
+    return density * len(inlet.mouth) * inlet.volume / inlet.period

@@ -5,22 +5,21 @@ from collections.abc import Iterator
 import numpy as np
 
 from vgmpi.gaussians.shape_distance import distance
-from vgmpi.planning.inlet_schedule import inlet_speed, outlet_plans, particle_count
 from vgmpi.planning.phases_and_groups import phases_with_surface
+from vgmpi.preprocess import memory_estimate
+from vgmpi.preprocess.built_object import BuiltObject, isotropic_gaussians
+from vgmpi.preprocess.collider_sdf import Collider
+from vgmpi.preprocess.placement import SimilarityTransform
+from vgmpi.preprocess.shape_sdf import contains
 from vgmpi.runtime import process_limits
-from vgmpi.scene import inlet_geometry
-from vgmpi.scene.inlets_outlets import Inlet
 from vgmpi.scene.scene import Scene
+from vgmpi.scene.scene_feature import Errors
 
-from . import memory_estimate
-from .built_object import BuiltObject, isotropic_gaussians
-from .collider_sdf import Collider
-from .placement import SimilarityTransform
-from .shape_sdf import contains
+from . import geometry
+from .plan import inlet_speed, outlet_plans, particle_count
+from .table import Inlet
 
 POINTS_PER_LAYER = 4  # points per layer at which a nozzle is checked
-
-Complaint = tuple[tuple, str]
 
 
 def require_inlet_memory(scene: Scene) -> None:
@@ -30,8 +29,8 @@ def require_inlet_memory(scene: Scene) -> None:
         + memory_estimate.BYTES_PER_PARTICLE_MERGED["body"],
         scene.domain.cell,
     )
-    for k, source in enumerate(scene.inlet):
-        per_layer = inlet_geometry.per_layer(source, dx)
+    for k, source in enumerate(scene.lists["inlet"]):
+        per_layer = geometry.per_layer(source, dx)
         try:
             process_limits.require_memory(
                 per_layer * bytes_each, f"a layer of inlet '{source.name}' has at least"
@@ -52,24 +51,21 @@ def reserve_inlet_particles(scene: Scene) -> list[BuiltObject]:
     """Return all particles that may come out of each inlet, at its mouth, as they pass it."""
     dx, identity = scene.domain.cell, SimilarityTransform(np.eye(3), 1.0, np.zeros(3))
     reserved = []
-    for source in scene.inlet:
-        h = inlet_geometry.spacing(source, dx)
-        x = np.resize(inlet_geometry.inlet_points(source, dx), (particle_count(scene, source), 3))
+    for source in scene.lists["inlet"]:
+        h = geometry.spacing(source, dx)
+        x = np.resize(geometry.inlet_points(source, dx), (particle_count(scene, source), 3))
         rgb = np.tile(np.asarray(source.color, float), (len(x), 1))
         cloud = isotropic_gaussians(x, h, rgb, source.opacity)
-        reserved.append(BuiltObject(cloud, np.full(len(x), h**3), identity))
+        velocity = np.tile(inlet_speed(scene, source) * np.array(source.direction), (len(x), 1))
+        volume = np.full(len(x), h**3)
+        reserved.append(BuiltObject(cloud, volume, identity, velocity=velocity))
     return reserved
-
-
-def velocity(scene: Scene, source: Inlet, count: int) -> np.ndarray:
-    """Return velocities (count, 3) [m/s] at the mouth."""
-    return np.tile(inlet_speed(scene, source) * np.array(source.direction), (count, 1))
 
 
 def validate_inlets_outlets(
     scene: Scene, pieces: list[BuiltObject], colliders: list[Collider]
-) -> None:
-    """Raise SceneError if an inlet or an outlet is in an invalid position.
+) -> Errors:
+    """Return the errors of inlets and outlets in invalid positions.
 
     Args:
         scene: The scene.
@@ -81,8 +77,8 @@ def validate_inlets_outlets(
         for obj, piece in zip(scene.object, pieces, strict=True)
         if obj.role == "body"
     }
-    errors: list[Complaint] = []
-    for k, source in enumerate(scene.inlet):
+    errors: Errors = []
+    for k, source in enumerate(scene.lists["inlet"]):
         points = _nozzle(source, scene.domain.cell)
         complaints = [*_solid(scene, source), *_blocked(scene, k, points, bodies, colliders)]
         errors += [
@@ -95,12 +91,11 @@ def validate_inlets_outlets(
         ]
         if overlapping:
             message = f"'{sink.name}' holds particles of '{overlapping[0]}'"
-            wall = k >= len(scene.outlet)
+            wall = k >= len(scene.lists["outlet"])
             advice = "" if wall else "; start_time opens it later"
             message = f"an outlet that removes a body at the start: {message}{advice}"
             errors.append((("domain", "boundary") if wall else ("outlet", k, "shape"), message))
-    if errors:
-        raise scene.error(errors)
+    return errors
 
 
 def _solid(scene: Scene, source: Inlet) -> Iterator[tuple[str, str]]:
@@ -125,15 +120,15 @@ def _blocked(
         bodies: Particle positions of bodies by name.
         colliders: Colliders at the start.
     """
-    source, dx = scene.inlet[k], scene.domain.cell
-    key, within = source.opening_kind, -inlet_geometry.TOUCH_TOLERANCE_CELLS * dx
+    source, dx = scene.lists["inlet"][k], scene.domain.cell
+    key, within = source.opening_kind, -geometry.TOUCH_TOLERANCE_CELLS * dx
     for collider in colliders:
         if (collider.distance(points) < within).any():
             yield key, f"lies inside the collider '{collider.name}'"
     for name, x in bodies.items():
         if _inside(source, dx, x).any():
             yield key, f"body '{name}' lies in its nozzle, two cells behind its mouth"
-    for other in scene.inlet[:k]:
+    for other in scene.lists["inlet"][:k]:
         if _inside(other, dx, points).any():
             yield key, f"lies in the nozzle of inlet '{other.name}'"
     for sink in outlet_plans(scene):
@@ -143,21 +138,19 @@ def _blocked(
 
 def _nozzle(source: Inlet, dx: float) -> np.ndarray:
     """Return points (m, 3) [m] all through a nozzle."""
-    h, along = inlet_geometry.spacing(source, dx), np.array(source.direction)
+    h, along = geometry.spacing(source, dx), np.array(source.direction)
     back = (
-        np.arange(POINTS_PER_LAYER * inlet_geometry.layers_in_nozzle(source) + 1)
-        * h
-        / POINTS_PER_LAYER
+        np.arange(POINTS_PER_LAYER * geometry.layers_in_nozzle(source) + 1) * h / POINTS_PER_LAYER
     )
-    return (inlet_geometry.inlet_points(source, dx) - back[:, None, None] * along).reshape(-1, 3)
+    return (geometry.inlet_points(source, dx) - back[:, None, None] * along).reshape(-1, 3)
 
 
 def _inside(source: Inlet, dx: float, x: np.ndarray) -> np.ndarray:
     """Return which points x (n, 3) [m] lie in the inlet's nozzle, shape (n,); not on its ends."""
-    e_u, e_v, along = inlet_geometry.orthonormal_frame(source)
-    a, b = inlet_geometry.extent(source)
-    length = inlet_geometry.layers_in_nozzle(source) * inlet_geometry.spacing(source, dx)
-    end = inlet_geometry.TOUCH_TOLERANCE_CELLS * dx
+    e_u, e_v, along = geometry.orthonormal_frame(source)
+    a, b = geometry.extent(source)
+    length = geometry.layers_in_nozzle(source) * geometry.spacing(source, dx)
+    end = geometry.TOUCH_TOLERANCE_CELLS * dx
     local = x - np.array(source.opening.center)
     u, v, s = ((local * axis).sum(axis=1) for axis in (e_u, e_v, along))
     across = u * u + v * v < a * a if source.disc else (np.abs(u) < a) & (np.abs(v) < b)

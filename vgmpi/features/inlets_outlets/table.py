@@ -1,13 +1,17 @@
 """Inlets and outlets of a scene: the tables [[inlet]] and [[outlet]]."""
 
-from typing import Annotated, Any, ClassVar
+from typing import Annotated
 
 import numpy as np
 from pydantic import BeforeValidator
 
-from vgmpi.runtime.config.schema import Color, Quantity, Share, StrictModel
+from vgmpi.runtime.config.schema import Quantity, StrictModel
+from vgmpi.scene.objects import checked_name, validate_exactly_one
+from vgmpi.scene.scene_feature import Errors, ParticleSource, SceneTables
+from vgmpi.scene.sections import Domain
+from vgmpi.scene.shapes import Axis, Shape, validate_shape
 
-from .inlet_geometry import (
+from .geometry import (
     TOUCH_TOLERANCE_CELLS,
     Disc,
     Rectangle,
@@ -15,17 +19,12 @@ from .inlet_geometry import (
     spacing,
     too_small,
 )
-from .objects import checked_name, default_alpha_min, per_cell, validate_exactly_one
-from .probes import refuse_balance
-from .sections import Domain
-from .shapes import Axis, Shape, validate_shape
 
 OPENINGS = ("disc", "rectangle")
 FLOWS = ("speed", "mass_flow_rate", "volume_flow_rate")
-SECTIONS_NEEDED = ("domain", "time")
 
 
-class Inlet(StrictModel):
+class Inlet(ParticleSource):
     """Inlet: one of disc, rectangle, and one of speed, mass_flow_rate, volume_flow_rate.
 
     A nozzle two cells long lies upstream of the mouth, inside the domain; it may end on a wall. Its
@@ -33,8 +32,6 @@ class Inlet(StrictModel):
     mouth.
     """
 
-    name: Annotated[str, BeforeValidator(checked_name)]
-    """unique name, among objects too: letters, digits, spaces, _ and -, beginning with a letter"""
     material: str
     """name of a [material.*] table: liquids, pastes, sand, snow; solids only if they can touch
     nothing outside their `phase`"""
@@ -56,24 +53,6 @@ class Inlet(StrictModel):
     end_time: Annotated[float, Quantity("s", gt=0)] | None = None
     """when the last material passes the mouth; default: never. The particles until then, or until
     time.end, are allocated at the start, so a run can be extended only beyond an `end_time`"""
-    particles_per_cell: Annotated[int, BeforeValidator(per_cell)] = 8
-    """particles per full cell: 1, 8, 27 or 64"""
-    phase: str | None = None
-    """name of its velocity field, as for an object"""
-    color: Color = (0.7, 0.7, 0.7)
-    """"#rrggbb" or three numbers 0..1"""
-    opacity: Share = 0.95
-    """opacity of its Gaussians"""
-    opacity_scale: Share = 1.0
-    """fluids only: factor on opacities in rendering; water looks realistic at 0.005 .. 0.05"""
-
-    # Attributes of an `Object` that an inlet lacks.
-    role: ClassVar[str] = "source"
-    collider: ClassVar[bool] = False
-    track_deformation: ClassVar[bool | None] = None
-    motion: ClassVar[None] = None
-    free_body: ClassVar[None] = None
-    driven: ClassVar[bool] = False
 
     @property
     def opening_kind(self) -> str:
@@ -85,11 +64,6 @@ class Inlet(StrictModel):
         """Return the shape of its mouth."""
         mouth: Disc | Rectangle = getattr(self, self.opening_kind)
         return mouth
-
-    @property
-    def alpha_threshold(self) -> float:
-        """Return the opacity below which a contribution is not drawn."""
-        return default_alpha_min(self.opacity_scale)
 
 
 class Outlet(StrictModel):
@@ -104,24 +78,20 @@ class Outlet(StrictModel):
     tub does. Default: open from the start"""
 
 
-def validate_inlet(
-    raw: dict, inlet: Inlet | None, kinds: dict[str, Any], tables: dict[str, Any],
-    objects: list[Any],
-) -> list[tuple[tuple, str]]:  # fmt: skip
+def validate_inlet(raw: dict, inlet: Inlet | None, tables: SceneTables) -> Errors:
     """Return (path, message) for errors of one inlet besides its values.
 
     Args:
         raw: Table as read.
         inlet: Validated table, or None if that failed.
-        kinds: Materials by name.
-        tables: Sections of the scene by name.
-        objects: Objects of the scene, None in place of invalid ones.
+        tables: Tables of the scene.
     """
     errors = validate_exactly_one(raw, OPENINGS, "has no mouth")
     errors += validate_exactly_one(raw, FLOWS, "has no flow")
-    if raw.get("name") in [obj.name for obj in objects if obj]:
+    if raw.get("name") in [obj.name for obj in tables.objects if obj]:
         errors.append((("name",), "is taken: an object has the same name"))
-    material = kinds.get(raw.get("material", ""), None) if _is_text(raw, "material") else None
+    name = raw.get("material")
+    material = tables.materials.get(name) if isinstance(name, str) else None
     if material is not None and material.family != "fluid" and "opacity_scale" in raw:
         errors.append((("opacity_scale",), "is only for fluids; others have opacity"))
     if inlet is None or errors:
@@ -131,19 +101,14 @@ def validate_inlet(
             f"must be later than start_time = {inlet.start_time:g} s; got {inlet.end_time:g} s"
         )
         errors.append((("end_time",), message))
-    domain, time = (tables.get(name) for name in SECTIONS_NEEDED)
+    domain, time = tables.sections.get("domain"), tables.sections.get("time")
     if time is not None and inlet.start_time >= time.end:
         message = f"nothing comes: the run ends at {time.end:g} s; got {inlet.start_time:g} s"
         errors.append((("start_time",), message))
     return errors + (_validate_nozzle(inlet, domain) if domain is not None else [])
 
 
-def _is_text(raw: dict, key: str) -> bool:
-    """Return whether a table has text at a key."""
-    return isinstance(raw.get(key), str)
-
-
-def _validate_nozzle(inlet: Inlet, domain: Domain) -> list[tuple[tuple, str]]:
+def _validate_nozzle(inlet: Inlet, domain: Domain) -> Errors:
     """Return (path, message) where the nozzle cannot hold particles."""
     if too_small(inlet, domain.cell):
         distance = spacing(inlet, domain.cell)
@@ -166,33 +131,16 @@ def _validate_nozzle(inlet: Inlet, domain: Domain) -> list[tuple[tuple, str]]:
     return [((inlet.opening_kind,), message)]
 
 
-def validate_outlet(raw: dict, inlets: list[Any]) -> list[tuple[tuple, str]]:
+def validate_outlet(raw: dict, inlets: list) -> Errors:
     """Return (path, message) for errors of one outlet besides its values.
 
     Args:
         raw: Table as read.
         inlets: Inlets of the scene, None in place of invalid ones.
     """
-    errors = []
+    errors: Errors = []
     if raw.get("name") in [inlet.name for inlet in inlets if inlet]:
         errors.append((("name",), "is taken: an inlet has the same name"))
     if "shape" in raw:
         errors += validate_shape(raw["shape"], ("shape",))
     return errors
-
-
-def validate_balance(probes: list[Any], flows: bool, objects: list[Any]) -> list[tuple[tuple, str]]:
-    """Return (path, message) of probes that measure by a balance of momentum which is not closed.
-
-    Args:
-        probes: Probes of the scene, None in place of invalid ones.
-        flows: Whether particles enter or leave the domain.
-        objects: Objects of the scene, None in place of invalid ones.
-    """
-    prescribed = any(obj and obj.driven for obj in objects)
-    if not (flows or prescribed):
-        return []
-    message = "is not for scenes where particles come or go: these are no part of its balance"
-    if prescribed:
-        message = "is not for scenes with bodies that are driven: what drives them is no part of it"
-    return refuse_balance(probes, message)
