@@ -32,6 +32,18 @@ class Dataset(NamedTuple):
     meaning: str
 
 
+def axis_columns(name: str, unit: str, meaning: str, axes: str = "xyz") -> list[Dataset]:
+    """Return a column of a CSV table for each component of a vector.
+
+    Args:
+        name: Name of the vector.
+        unit: Unit.
+        meaning: Meaning, the same for all components.
+        axes: Letter of each component.
+    """
+    return [Dataset(f"{name}_{axis}", "", "f8", unit, meaning) for axis in axes]
+
+
 def frame_number(name: str) -> int | None:
     """Return the number of the frame with this file name; None for other names."""
     match = re.fullmatch(r"frame_([0-9]{5,6})\.vtkhdf", name)
@@ -65,7 +77,7 @@ def named(datasets: list[Dataset]) -> dict[str, Dataset]:
 # In the file, positions is /VTKHDF/Points and the others are in /VTKHDF/PointData.
 FRAME = [
     Dataset("id", "(n,)", "i8", "1", "particle number, ascending; its row in gaussians.h5"),
-    Dataset("positions", "(n, 3)", "f4", "m", "position in the domain; stored as /VTKHDF/Points"),
+    Dataset("positions", "(n, 3)", "f4", "m", "position in the domain"),
     Dataset("velocity", "(n, 3)", "f4", "m/s", "velocity"),
     Dataset("J", "(n,)", "f4", "1", "volume ratio; its elastic part in plastic materials"),
     Dataset("F", "(n, 9)", "f4", "1", "deformation gradient, row by row; cbrt(J) I without one"),
@@ -233,17 +245,8 @@ LEDGER_COLUMNS = [
     Dataset("phase", "", "text", "", "name of the phase"),
     Dataset("particles", "", "i8", "1", "number of particles"),
     Dataset("mass", "", "f8", "kg", "mass"),
-    *(Dataset(f"momentum_{a}", "", "f8", "kg m/s", f"momentum along {a}") for a in "xyz"),
-    *(
-        Dataset(
-            f"angular_momentum_{a}",
-            "",
-            "f8",
-            "kg m2/s",
-            f"angular momentum about {a} and the origin",
-        )
-        for a in "xyz"
-    ),
+    *axis_columns("momentum", "kg m/s", "momentum"),
+    *axis_columns("angular_momentum", "kg m2/s", "angular momentum about the origin"),
     Dataset("kinetic_energy", "", "f8", "J", "kinetic energy, including the affine motion of APIC"),
     Dataset("elastic_energy", "", "f8", "J", "elastic energy"),
     Dataset("potential_energy", "", "f8", "J", "potential energy in gravity"),
@@ -264,18 +267,11 @@ LIQUID_COLUMNS = [  # present with liquids; nan for phases that hold anything el
 ]  # fmt: skip
 
 RIGID_COLUMNS = [  # present with free rigid bodies; 0 in all rows of a time but the first
-    *(
-        Dataset(f"rigid_momentum_{a}", "", "f8", "kg m/s", f"momentum of all along {a}")
-        for a in "xyz"
-    ),
-    *(
-        Dataset(f"rigid_angular_momentum_{a}", "", "f8", "kg m2/s",
-                f"their angular momentum about {a} and the origin")
-        for a in "xyz"
-    ),
+    *axis_columns("rigid_momentum", "kg m/s", "their momentum"),
+    *axis_columns("rigid_angular_momentum", "kg m2/s", "their angular momentum about the origin"),
     Dataset("rigid_kinetic_energy", "", "f8", "J", "their kinetic energy"),
     Dataset("rigid_potential_energy", "", "f8", "J", "their potential energy in gravity"),
-]  # fmt: skip
+]
 
 ROW_CHECKSUM = Dataset(
     CRC,
@@ -286,103 +282,62 @@ ROW_CHECKSUM = Dataset(
 )
 
 # ---- probe_NAME.csv ---------------------------------------------------------------------------
-_WHEN = LEDGER_COLUMNS[:2]
+SAMPLE_COLUMNS = LEDGER_COLUMNS[:2]  # first columns of every probe
+SINCE = "since the previous row; nan in the first row"
+IN_LAST_STEP = "in the last step; nan at the start"
 _BODY = [
+    *SAMPLE_COLUMNS,
     Dataset("mass", "", "f8", "kg", "mass"),
-    *(Dataset(f"center_{a}", "", "f8", "m", f"{a} of the center of mass") for a in "xyz"),
-    *(Dataset(f"velocity_{a}", "", "f8", "m/s", f"mean velocity along {a}") for a in "xyz"),
-    *(Dataset(f"momentum_{a}", "", "f8", "kg m/s", f"momentum along {a}") for a in "xyz"),
-    *(
-        Dataset(f"force_{a}", "", "f8", "N", f"mean force along {a} since the previous row, "
-                "without its weight; nan in the first row")
-        for a in "xyz"
-    ),
-]  # fmt: skip
-_GIVEN = [
-    *(
-        Dataset(f"force_{a}", "", "f8", "N", f"mean force along {a} of the bodies on it since the "
-                "previous row; nan in the first row")
-        for a in "xyz"
-    ),
-    *(
-        Dataset(f"torque_{a}", "", "f8", "N m", f"mean torque about {a} since the previous row; "
-                "nan in the first row")
-        for a in "xyz"
-    ),
-    *(
-        Dataset(f"impulse_{a}", "", "f8", "N s", f"time integral of the force along {a}")
-        for a in "xyz"
-    ),
-    *(
-        Dataset(f"angular_impulse_{a}", "", "f8", "N m s", f"time integral of the torque about {a}")
-        for a in "xyz"
-    ),
-]  # fmt: skip
+    *axis_columns("center", "m", "center of mass"),
+    *axis_columns("velocity", "m/s", "mean velocity"),
+    *axis_columns("momentum", "kg m/s", "momentum"),
+    *axis_columns("force", "N", f"mean force, without its weight, {SINCE}"),
+]
+_REACTION = [
+    *SAMPLE_COLUMNS,
+    *axis_columns("force", "N", f"mean force of the bodies on it {SINCE}"),
+    *axis_columns("torque", "N m", f"mean torque {SINCE}"),
+    *axis_columns("impulse", "N s", "time integral of the force"),
+    *axis_columns("angular_impulse", "N m s", "time integral of the torque"),
+]
 PROBE_COLUMNS = {
     "pressure": [
-        *_WHEN,
+        *SAMPLE_COLUMNS,
         Dataset("pressure", "", "f8", "Pa", "mean of the nearby fluids; nan without fluid"),
     ],
     "surface_height": [
-        *_WHEN,
+        *SAMPLE_COLUMNS,
         Dataset("surface_height", "", "f8", "m", "height of the surface; 0 without fluid"),
     ],
     "velocity": [
-        *_WHEN,
-        *(
-            Dataset(f"velocity_{a}", "", "f8", "m/s", f"mean along {a}; nan without particles")
-            for a in "xyz"
-        ),
+        *SAMPLE_COLUMNS,
+        *axis_columns("velocity", "m/s", "mean velocity; nan without particles"),
     ],
-    "object": [*_WHEN, *_BODY],
+    "object": _BODY,
     "rigid body": [
-        *_WHEN,
         *_BODY,
-        *(Dataset(f"rotation_{a}", "", "f8", "", f"{a} of the rotation from the start, a unit "
-                  "quaternion") for a in "wxyz"),
-        *(Dataset(f"angular_velocity_{a}", "", "f8", "rad/s", f"about {a}") for a in "xyz"),
-        *(
-            Dataset(f"angular_momentum_{a}", "", "f8", "kg m2/s", f"about {a}, about the center of "
-                    "mass")
-            for a in "xyz"
-        ),
-        *(
-            Dataset(f"torque_{a}", "", "f8", "N m", f"mean torque about {a} and the center of mass "
-                    "since the previous row; nan in the first row")
-            for a in "xyz"
-        ),
+        *axis_columns("rotation", "", "rotation from the start, a unit quaternion", "wxyz"),
+        *axis_columns("angular_velocity", "rad/s", "angular velocity"),
+        *axis_columns("angular_momentum", "kg m2/s", "about the center of mass"),
+        *axis_columns("torque", "N m", f"mean torque about the center of mass {SINCE}"),
     ],
     "wall": [
-        *_WHEN,
-        *(Dataset(f"momentum_{a}", "", "f8", "kg m/s", f"of all bodies, along {a}") for a in "xyz"),
-        *(
-            Dataset(f"force_{a}", "", "f8", "N", f"mean force along {a} on walls and colliders "
-                    "since the previous row; nan in the first row")
-            for a in "xyz"
-        ),
+        *SAMPLE_COLUMNS,
+        *axis_columns("momentum", "kg m/s", "of all bodies"),
+        *axis_columns("force", "N", f"mean force on walls and colliders {SINCE}"),
     ],
-    "one wall": [*_WHEN, *_GIVEN],
+    "one wall": _REACTION,
     "collider": [
-        *_WHEN,
-        *_GIVEN,
-        Dataset("work", "", "f8", "J", "work of the collider on the bodies since the previous row; "
-                "nan in the first row"),
+        *_REACTION,
+        Dataset("work", "", "f8", "J", f"work of the collider on the bodies {SINCE}"),
         Dataset("cumulative_work", "", "f8", "J", "total work of the collider on the bodies"),
     ],
     "joint": [
-        *_WHEN,
+        *SAMPLE_COLUMNS,
         Dataset("angle", "", "f8", "rad", "of a hinge, 0 at the start; nan for other kinds"),
         Dataset("length", "", "f8", "m", "displacement of a slider, length of a spring; else nan"),
-        *(
-            Dataset(f"force_{a}", "", "f8", "N", f"on the first body along {a} in the last step; "
-                    "nan at the start")
-            for a in "xyz"
-        ),
-        *(
-            Dataset(f"torque_{a}", "", "f8", "N m", f"on the first body about {a}, at the joint's "
-                    "point, in the last step; nan at the start")
-            for a in "xyz"
-        ),
+        *axis_columns("force", "N", f"on the first body {IN_LAST_STEP}"),
+        *axis_columns("torque", "N m", f"on the first body at the joint's point {IN_LAST_STEP}"),
         Dataset("motor_power", "", "f8", "W", "of the motor in the last step; 0 without a motor"),
     ],
-}  # fmt: skip
+}

@@ -3,6 +3,8 @@
 `python -m vgmpi.io.layout_reference` prints it.
 """
 
+from itertools import groupby
+
 from . import file_layout
 
 INTRODUCTION = f"""\
@@ -51,14 +53,52 @@ is the crc of the line above, or 0 in the first line.
 """
 
 
-def _table(datasets, prefix=""):
+def _below(folder, datasets):
+    """Return datasets with the folder of a file in front of their names."""
+    return [d._replace(name=folder + d.name) for d in datasets]
+
+
+def _frame_datasets():
+    """Return the datasets of a frame with their full names."""
+    places = {"positions": "VTKHDF/Points"}
+    return [
+        *(
+            d._replace(name=places.get(d.name, f"VTKHDF/PointData/{d.name}"))
+            for d in file_layout.FRAME
+        ),
+        *_below("VTKHDF/FieldData/", file_layout.FRAME_FIELD_DATA),
+        *_below("VTKHDF/", file_layout.FRAME_TOPOLOGY),
+        *file_layout.FRAME_OWN,
+    ]
+
+
+def _table(datasets):
     """Return a Markdown table of datasets."""
     lines = ["| name | shape | type | unit | meaning |", "|---|---|---|---|---|"]
     for d in datasets:
         kind = d.dtype.replace("|", " or ")
-        words = (f"`{prefix}{d.name}`", d.shape, kind, d.unit, d.meaning)
+        words = (f"`{d.name}`", d.shape, kind, d.unit, d.meaning)
         lines.append("| " + " | ".join(w.replace("|", "\\|") for w in words) + " |")
     return "\n".join(lines) + "\n"
+
+
+def _columns(columns, skip_count=0):
+    """Return a Markdown table of columns of a CSV file, a row for those of the same meaning."""
+    lines = ["| column | type | unit | meaning |", "|---|---|---|---|"]
+    for cells, group in groupby(columns[skip_count:], lambda d: (d.dtype, d.unit, d.meaning)):
+        names = ", ".join(f"`{d.name}`" for d in group)
+        lines.append(f"| {names} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _probe_section(kind: str) -> str:
+    """Return the columns of a probe behind those of the longest table that they begin with."""
+    tables, columns = file_layout.PROBE_COLUMNS, file_layout.PROBE_COLUMNS[kind]
+    begins = {other: t for other, t in tables.items() if other != kind and columns[: len(t)] == t}
+    base = max(begins, key=lambda other: len(begins[other]), default="")
+    skip_count = len(begins.get(base, file_layout.SAMPLE_COLUMNS))
+    text = f"The columns of `{base}`, then:\n\n" if base else ""
+    return f"### {kind}\n\n{text}{_columns(columns, skip_count)}"
 
 
 ABOUT_ENERGY = (
@@ -73,15 +113,15 @@ def _ledger_section() -> list[str]:
     return [
         "## ledger.csv\n",
         ABOUT_TABLES,
-        _table([*file_layout.LEDGER_COLUMNS, file_layout.ROW_CHECKSUM]),
+        _columns([*file_layout.LEDGER_COLUMNS, file_layout.ROW_CHECKSUM]),
         "Before `crc`, only with `[[inlet]]`, `[[outlet]]` or an open wall; particles_in - "
         "particles_out is `particles`, exactly, and mass_in - mass_out is `mass`, to rounding:\n",
-        _table(file_layout.OPEN_SYSTEM_COLUMNS),
+        _columns(file_layout.OPEN_SYSTEM_COLUMNS),
         "Behind these, only if liquids have phases of their own:\n",
-        _table(file_layout.LIQUID_COLUMNS),
+        _columns(file_layout.LIQUID_COLUMNS),
         "Behind these, only with free rigid bodies: sums over all of them, in the first row of a "
         "time and 0 in its other rows, so that sums over rows are totals:\n",
-        _table(file_layout.RIGID_COLUMNS),
+        _columns(file_layout.RIGID_COLUMNS),
         ABOUT_ENERGY,
     ]
 
@@ -96,14 +136,7 @@ def page() -> str:
         "always present, the other fields as `output.fields` requests. Covariance, opacity and "
         "color are stored in gaussians.h5 only: a renderer finds them by `id` and deforms them "
         "with F or J.\n",
-        _table([d for d in file_layout.FRAME if d.name != "positions"], "VTKHDF/PointData/"),
-        _table(
-            [d._replace(name="Points") for d in file_layout.FRAME if d.name == "positions"],
-            "VTKHDF/",
-        ),
-        _table(file_layout.FRAME_FIELD_DATA, "VTKHDF/FieldData/"),
-        _table(file_layout.FRAME_TOPOLOGY, "VTKHDF/"),
-        _table(file_layout.FRAME_OWN),
+        _table(_frame_datasets()),
         "Attributes: `VTKHDF/Type`, `VTKHDF/Version`, and `/schema` (integer). "
         "`gaussians_crc` is the CRC32 of the checksums in gaussians.h5, those of its texts and "
         "`shade` left out, as JSON pairs in the order of their names; checkpoints have it too.\n",
@@ -111,36 +144,32 @@ def page() -> str:
         "All frames in sequence, as virtual datasets of the same names. The file contains no "
         "numbers itself and finds the frames beside it from any working directory. It is valid "
         "after every frame.\n",
-        _table(file_layout.SERIES_STEPS, "VTKHDF/"),
-        _table(file_layout.SERIES_OWN),
+        _table([*_below("VTKHDF/", file_layout.SERIES_STEPS), *file_layout.SERIES_OWN]),
         "## gaussians.h5\n",
         "One row per particle id, including particles that enter later; frames contain the present "
         "ones. Objects are contiguous, in the order of the scene; inlets follow, the particles of "
         "each in the order in which they pass its mouth.\n",
         _table(file_layout.GAUSSIAN),
         "Scenery, rendered but without mass (only if the scene has scenery):\n",
-        _table(file_layout.SCENERY, "scenery/"),
+        _table(_below("scenery/", file_layout.SCENERY)),
         "Passive Gaussians without mass (only if an object has `passive_gaussians`). With weights "
         "w, carriers i and their deformation gradients F_i in a frame: x = sum w_i (x_i + F_i (x0 "
         "- x0_i)), F = sum w_i F_i, covariance F cov0 F^T.\n",
-        _table(file_layout.PASSIVE, "passive/"),
+        _table(_below("passive/", file_layout.PASSIVE)),
         _table(file_layout.GAUSSIAN_TEXTS),
         "Attributes: `schema` (integer), `digest` (text; identifies the preparation).\n",
         "## checkpoints/checkpoint_000000000.h5\n",
         "The number is the step. A group is one phase of one material: group_000, group_001, ... "
         "Rows are in the order of the last sort, which is part of the state: a resumed run "
         "continues with the same bits on any number of ranks.\n",
-        _table(file_layout.CHECKPOINT),
-        _table(file_layout.CHECKPOINT_TEXTS),
+        _table([*file_layout.CHECKPOINT, *file_layout.CHECKPOINT_TEXTS]),
         ABOUT_CHECKPOINTS,
         *_ledger_section(),
         "## probe_NAME.csv\n",
         "One row per sampling time, written after the step that reaches it, numbers with all "
-        "digits. The columns depend on the measured quantity; `crc` is as in ledger.csv:\n",
-        *(
-            f"### {kind}\n\n{_table(columns)}"
-            for kind, columns in file_layout.PROBE_COLUMNS.items()
-        ),
+        "digits. Every table begins with `time` and `step` and ends with `crc`, as in ledger.csv; "
+        "between them are the columns of what is measured:\n",
+        *map(_probe_section, file_layout.PROBE_COLUMNS),
     ]
     return "\n".join(parts)
 

@@ -1,6 +1,7 @@
 """Markdown reference of the scene file, generated from the tables that read it."""
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel
@@ -31,9 +32,9 @@ _INTRO = """# The scene file
 
 This page lists every key of a scene file with unit, default and meaning.
 
-A scene is a TOML file. Numbers are in SI units. A text with a unit, such as `"2 cm"`, `"0.1 MPa"`
-or `"35 deg"`, is converted. z points up. A key whose default is *required* has no default.
-All errors are reported at once, each with its line, before anything is written.
+A scene is a TOML file. Numbers are in SI units. A text with a unit of the same dimension, such as
+`"2 cm"`, `"0.1 MPa"` or `"35 deg"`, is converted. z points up. A key whose default is *required*
+has no default. All errors are reported at once, each with its line, before anything is written.
 
 This complete scene drops a capture into water. All other keys have defaults:
 
@@ -68,16 +69,13 @@ scene's folder and must lie in it, unless `allow_outside = true` is set or the p
 
 def scene_reference() -> str:
     """Return the text of docs/reference/scene.md."""
-    parts = [_INTRO, _section("Top of the file", sections.TopLevelKeys)]
+    parts = [_section("Top of the file", sections.TopLevelKeys)]
     for name, table in section_tables().items():
         parts.append(_section(f"[{name}]", table))
     parts.append(_section("[domain] gravity_keyframes", gravity.GravityKeyframe))
     parts.append(_section("[domain] boundary", sections.Boundary))
     parts.append(_section("A wall", sections.Wall))
-    for kind, material in materials.registry.items():
-        parts.append(_section(f'[material.NAME] kind = "{kind}"', material))
-        if material.presets:
-            parts.append(_presets(material.presets))
+    parts += _kind_sections("[material.NAME]", materials.registry)
     parts.append(_section("[[object]]", object_table()))
     inner: dict[str, type[BaseModel]] = {
         "points": point_sets.Points,
@@ -97,32 +95,82 @@ def scene_reference() -> str:
         "motion keyframes": rigid_motion.Keyframe,
     }
     for name, inside in inner.items():
-        parts.append(_section(f"[[object]] {name}", inside))
-    for kind, coupling in couplings.registry.items():
-        parts.append(_section(f'[[coupling]] kind = "{kind}"', coupling))
+        is_part = issubclass(inside, shapes.Shape) and inside is not shapes.Shape
+        parts.append(_section(f"[[object]] {name}", inside, _rows(shapes.Shape) if is_part else ()))
+    parts += _kind_sections("[[coupling]]", couplings.registry)
     for name, tables in table_lists().items():
-        parts += [
-            _section(f"[[{name}]]" + (f' kind = "{kind}"' if kind else ""), table)
-            for kind, table in tables.tables.items()
-        ]
+        parts += _kind_sections(f"[[{name}]]", tables.tables)
         parts += [_section(f"[[{name}]] {title}", t) for title, t in tables.sections.items()]
     parts.append(_section("[[probe]]", probes.Probe))
-    parts.append(_restart_section())
-    return "\n".join(parts)
+    return "\n".join([_INTRO, _other_units("\n".join(parts)), *parts, _restart_section()])
 
 
-def _section(title: str, table: type[BaseModel]) -> str:
-    """Return the section of one table."""
-    description = " ".join((table.__doc__ or "").split())
-    rows = ["| key | unit | default | allowed | meaning |", "|---|---|---|---|---|"]
-    is_part = any(table in feature.sections.values() for feature in features())
-    inherited = shapes.Shape.model_fields if is_part and issubclass(table, shapes.Shape) else {}
+def _rows(table: type[BaseModel]) -> list[str]:
+    """Return the rows of a table's keys, without those that the title or another table says."""
+    rows = []
     for name, field in table.model_fields.items():
-        if name in inherited:  # its section has it
+        if name == "preset" or name == "kind" and len(_literals(field.annotation)) < 2:
             continue
         cells = (f"`{name}`", _unit(field), _default(field), _allowed(field), _meaning(field))
         rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
-    return "\n".join([f"## {title}", "", description, "", *rows, ""])
+    return rows
+
+
+def _section(title: str, table: type[BaseModel], other_rows: Iterable[str] = ()) -> str:
+    """Return the section of one table, without rows that another section has."""
+    return _format_section(
+        title, _description(table), [r for r in _rows(table) if r not in other_rows]
+    )
+
+
+def _format_section(title: str, text: str, rows: list[str]) -> str:
+    """Return a section with a text and rows."""
+    head = ["| key | unit | default | allowed | meaning |", "|---|---|---|---|---|"]
+    return "\n".join([f"## {title}", "", text, "", *head, *rows, ""])
+
+
+def _description(table: type[BaseModel]) -> str:
+    """Return the docstring of a table as one line."""
+    return " ".join((table.__doc__ or "").split())
+
+
+def _kind_sections(head: str, tables: Mapping[str, type[BaseModel]]) -> list[str]:
+    """Return the sections of tables by their `kind`; keys that kinds inherit come once."""
+    families: dict[type[BaseModel], list[str]] = {}
+    for kind, table in tables.items():
+        base: Any = table.__base__
+        family = base if base in tables.values() or _rows(base) else table
+        families.setdefault(family, []).append(kind)
+    parts = []
+    for family, kinds in families.items():
+        shared_rows: list[str] = []
+        if len(kinds) > 1:
+            shared_rows = _rows(family)
+            texts = {kind: _description(tables[kind]) for kind in kinds}
+            lines = [f'- `kind = "{kind}"`: {text}' for kind, text in texts.items()]
+            title = head if len(kinds) == len(tables) else _kinds_title(head, kinds)
+            parts += [_format_section(title, "\n".join(lines), shared_rows), _presets(family)]
+        for kind in kinds:
+            table = tables[kind]
+            rows = [row for row in _rows(table) if row not in shared_rows]
+            if rows:
+                text = "Its own keys." if shared_rows else _description(table)
+                parts += [_format_section(_kinds_title(head, [kind]), text, rows), _presets(table)]
+    return [part for part in parts if part]
+
+
+def _kinds_title(head: str, kinds: list[str]) -> str:
+    """Return the title of a section about kinds of a table."""
+    names = " or ".join(f'"{kind}"' for kind in kinds if kind)
+    return f"{head} kind = {names}" if names else head
+
+
+def _other_units(text: str) -> str:
+    """Return a sentence with the other units of those in the rows of sections."""
+    units = dict.fromkeys(re.findall(r"(?m)^\| `\w+` \| ([^|`]+?) \|", text))
+    others = {si: [unit for unit in compatible_units(si) if unit != si] for si in units}
+    names = [f"{si} ({', '.join(names)})" for si, names in others.items() if names]
+    return f"Units, with others of the same dimension in parentheses: {'; '.join(names)}.\n"
 
 
 def _restart_section() -> str:
@@ -142,15 +190,18 @@ def _preset_value(value: float | str) -> str:
     return f'`"{value}"`' if isinstance(value, str) else f"{value:.4g}"
 
 
-def _presets(presets: dict[str, dict]) -> str:
-    """Return the table of a material's presets."""
+def _presets(table: type[BaseModel]) -> str:
+    """Return the table of a material's presets, "" without any."""
+    presets: dict[str, dict] = getattr(table, "presets", {})
+    if not presets:
+        return ""
     keys = list(dict.fromkeys(key for values in presets.values() for key in values))
-    rows = ["| preset | " + " | ".join(f"`{key}`" for key in keys) + " |"]
+    rows = ["| `preset` | " + " | ".join(f"`{key}`" for key in keys) + " |"]
     rows.append("|---" * (len(keys) + 1) + "|")
     for name, values in presets.items():
         cells = (_preset_value(values[key]) if key in values else "" for key in keys)
         rows.append(f'| `"{name}"` | ' + " | ".join(cells) + " |")
-    return "\n".join(["Presets in SI units. Explicit keys override them:", "", *rows, ""])
+    return "\n".join(["`preset` sets keys that are not set, in SI units:", "", *rows, ""])
 
 
 def _meaning(field: FieldInfo) -> str:
@@ -172,18 +223,15 @@ def _quantities(source: Any) -> Iterator[Quantity]:
 
 
 def _unit(field: FieldInfo) -> str:
-    """Return the unit of a field with its alternatives."""
+    """Return the SI unit of a field, "" for numbers and other values."""
     quantity = next(_quantities(field), None)
-    if quantity is None or quantity.unit in ("", "1"):
-        return ""
-    alternatives = [unit for unit in compatible_units(quantity.unit) if unit != quantity.unit]
-    return quantity.unit + (f" ({', '.join(alternatives)})" if alternatives else "")
+    return "" if quantity is None or quantity.unit == "1" else quantity.unit
 
 
 def _default(field: FieldInfo) -> str:
     """Return the default of a field as Markdown."""
     if field.default is PydanticUndefined:
-        return "*required*" if _kind(field) is None else ""
+        return "*required*"
     value = field.default
     if isinstance(value, BaseModel):
         return "see below"
@@ -201,13 +249,6 @@ def _toml(value: Any) -> str:
     if isinstance(value, tuple):
         return f"[{', '.join(map(_toml, value))}]"
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _kind(field: FieldInfo) -> str | None:
-    """Return the only possible value of a field, or None if there are several."""
-    if get_origin(field.annotation) is Literal and len(get_args(field.annotation)) == 1:
-        return get_args(field.annotation)[0]
-    return None
 
 
 def _allowed(field: FieldInfo) -> str:
