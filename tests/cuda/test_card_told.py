@@ -93,7 +93,7 @@ def test_a_card_that_fails_is_named(monkeypatch):
         pass
 
     class Engine:
-        at = 7
+        step_number = 7
 
         @card.with_device_context
         def fill(self):

@@ -61,7 +61,7 @@ def coupling(tmp_path_factory):
         text += f"shape = {{ {SHAPES[k % len(SHAPES)]} }}\n"
     simulation, _ = begin(tmp_path_factory.mktemp("bodies"), text)
     simulation.collider_nodes.begin_step(StepSpan(1, 0.0, 1e-3, 1e-3))
-    return simulation.features["rigid_bodies"], simulation.engine.walls
+    return simulation.features["rigid_bodies"], simulation.engine.plan_tables.walls
 
 
 def contacts(coupling, walls, search, reach, dx=0.01):

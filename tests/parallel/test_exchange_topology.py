@@ -17,7 +17,7 @@ from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.load_balance import owners, partition
 from vgmpi.parallel.particle_group import SIMD_WIDTH, ParticleGroup
 from vgmpi.planning.phases_and_groups import GroupPlan
-from vgmpi.solver.engines.thread_partition import ThreadPartition, accumulator_copies
+from vgmpi.solver.engines.thread_memory import ThreadPartition, accumulator_copies
 from vgmpi.solver.restart.state_io import save
 
 REALS = [np.dtype(np.float32), np.dtype(np.float64)]

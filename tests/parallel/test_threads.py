@@ -3,7 +3,7 @@ first.
 
 Threads take turns, the last one first, so that a mistake does not hide behind a lucky order. Every
 mutation breaks one rule of who sums what (vgmpi/solver/engines/cpu.py,
-solver/engines/thread_partition.py) and must be seen. That threads which run at the same time never
+solver/engines/thread_memory.py) and must be seen. That threads which run at the same time never
 add to one row, tests/parallel/test_exchange_topology.py holds.
 """
 

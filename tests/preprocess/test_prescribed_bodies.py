@@ -237,7 +237,8 @@ def test_off_is_off(tmp_path):
     assert plan.driven == () and [phase.name for phase in plan.phases] == ["sand"]
     simulation, _ = begin(tmp_path, text[: text.rindex("[[object]]")])
     assert "prescribed_motion" not in simulation.features and "releases" not in simulation.features
-    assert isinstance(simulation.engine, Cpu) and not simulation.engine.no_rigid.motions.driven.size
+    assert isinstance(simulation.engine, Cpu)
+    assert not simulation.engine.plan_tables.boundaries.motions.driven.size
 
 
 GATE = """

@@ -63,7 +63,9 @@ def test_cubic_begins_and_ends_at_rest_and_stays_between_alike():
 
 def test_linear_has_an_even_pace():
     way = One(keyframes=KEYS, interpolation="linear")
-    assert np.allclose(way.pose_at(0.25)[0], (0.25, 0, 0)) and np.allclose(way.pose_at(3.5)[0], (0.5, 1, 0))
+    assert np.allclose(way.pose_at(0.25)[0], (0.25, 0, 0)) and np.allclose(
+        way.pose_at(3.5)[0], (0.5, 1, 0)
+    )
 
 
 def test_velocity_and_angular_velocity_until_the_end_time():

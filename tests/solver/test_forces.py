@@ -305,7 +305,7 @@ def test_nobody_asks_nothing_is_there(tmp_path):
     simulation = runs[1].simulation
     assert "reactions" not in simulation.features and simulation.engine.reactions is None
     assert all(part.ghosts is None for part in simulation.engine.parts)
-    assert all(each.reactions is None for each in simulation.engine.workspaces)
+    assert all(each.reactions is None for each in simulation.engine.memory.workspaces)
     one, other = (run.arrays("positions", "velocity", "C") for run in runs)
     assert all((one[name] == other[name]).all() for name in one)
 

@@ -24,7 +24,7 @@ from .nodal_field_storage import (
 )
 from .reaction_sums import ReactionAccumulators
 from .surface_fields import SurfaceContributions, split_contributions
-from .thread_partition import ThreadPartition
+from .thread_memory import ThreadPartition
 
 
 class GroupContext(NamedTuple):

@@ -1,6 +1,6 @@
 """Nodal fields of a scene: sums and values on this rank, and contributions of particles."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import NamedTuple
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from vgmpi.features.field_request import CarriedValues, FieldRequest
 from vgmpi.kernels import reproducible_sums
-from vgmpi.kernels.kernel_arguments import Sums
+from vgmpi.kernels.kernel_arguments import NodeBlocks, Sums
 from vgmpi.kernels.nodal_fields import (
     body_fields,
     carried_values,
@@ -25,6 +25,7 @@ from vgmpi.parallel.exchange_topology import (
     NEAR_CONTACT,
     NEAR_SURFACES,
     REST_VOLUME,
+    ExchangeTopology,
 )
 from vgmpi.planning.phases_and_groups import GroupPlan
 from vgmpi.planning.plan import Plan
@@ -61,6 +62,11 @@ class NodalField:
         self.current_bounds = np.zeros(0)  # `sum_bounds` at that speed
         self.bias = np.zeros((len(plan.phases), reproducible_sums.accumulator_words(plan.real), 16))
         self.tables = Sums(self.sums, self.bias, self.has_terms, self.nodes)
+
+    @staticmethod
+    def grow_nodes(nodes, count: int):
+        """Return an array of node blocks with room for `count` of them."""
+        return with_capacity(nodes, count)
 
     def set_topology(self, requested: np.ndarray, phase_of_row: np.ndarray) -> None:
         """Allocate node blocks, and accumulator copies of some behind them.
@@ -200,27 +206,91 @@ class FieldRequests:
         ]
 
 
-def nodal_fields(
-    requests: FieldRequests, separate_stress: bool, field_class=NodalField
-) -> list[NodalField]:
-    """Return the nodal fields of a scene in the order in which grid kernels report them.
+class NodalFields(Mapping[str, NodalField]):
+    """Nodal fields of a scene by name, in the order in which grid kernels report them.
 
     Volumes and offsets have no nodes where nothing may touch.
 
-    Args:
-        requests: Requested fields of the run.
-        separate_stress: Whether stress impulses are summed separately.
-        field_class: Class of the fields.
+    Attributes:
+        words: Doubles per sum.
+        requests: Requested fields of the plan.
+        separates_stress: Whether stress impulses are summed separately.
+        by_name: The fields.
+        numbers: Number of each field.
+        gathered: Whether particles gather auxiliary nodal values, by name.
+        gathered_nodes: These values, shape (node blocks, 256).
     """
-    plan = requests.plan
-    ranges: dict[str, Callable] = {
-        "momentum": partial(momentum.accumulator_range, plan),
-        "offsets": lambda _: surface_distance.accumulator_range(plan),
-    }
-    if separate_stress:
-        ranges["impulses"] = partial(stress_impulse.accumulator_range, plan)
-    ranges |= {request.name: request.accumulator_range for request in requests.all}
-    return [field_class(name, bounds, plan) for name, bounds in ranges.items()]
+
+    def __init__(self, plan: Plan, field_class=NodalField):
+        """Create the fields without nodes.
+
+        Args:
+            plan: Plan of the run.
+            field_class: Class of the fields.
+        """
+        self.words = reproducible_sums.accumulator_words(plan.real)
+        self.requests = FieldRequests(plan)
+        self.separates_stress = any(group.separates_stress for group in plan.groups)
+        ranges: dict[str, Callable] = {
+            "momentum": partial(momentum.accumulator_range, plan),
+            "offsets": lambda _: surface_distance.accumulator_range(plan),
+        }
+        if self.separates_stress:
+            ranges["impulses"] = partial(stress_impulse.accumulator_range, plan)
+        ranges |= {request.name: request.accumulator_range for request in self.requests.all}
+        self._grow_nodes = field_class.grow_nodes
+        self.by_name = {name: field_class(name, bounds, plan) for name, bounds in ranges.items()}
+        self.numbers = {name: k for k, name in enumerate(self.by_name)}
+        has_change = plan.flip is not None
+        self.gathered = {"flux": plan.rules is not None, "drift": plan.drifts, "change": has_change}
+        self.gathered |= {name: True for each in plan.features for name in each.gathered}
+        self.gathered_nodes = {
+            name: aligned_zeros((0, reproducible_sums.BLOCK), plan.real) for name in self.gathered
+        }
+
+    def __getitem__(self, name: str) -> NodalField:
+        return self.by_name[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.by_name)
+
+    def __len__(self) -> int:
+        return len(self.by_name)
+
+    def set_topology(self, tables: ExchangeTopology, phase_of_row: np.ndarray) -> None:
+        """Allocate the nodes after a sort.
+
+        Args:
+            tables: Exchange topology of this rank.
+            phase_of_row: Phase of each node block and of each copy for threads.
+        """
+        for name, field in self.items():
+            field.set_topology(tables.has_terms[name], phase_of_row)
+        for name, is_gathered in self.gathered.items():
+            if is_gathered:
+                nodes = self.gathered_nodes[name]
+                self.gathered_nodes[name] = self._grow_nodes(nodes, len(tables.phase))
+
+    def begin(self, speed: float) -> None:
+        """Choose the quanta of a step.
+
+        Args:
+            speed: Bound of `ParticleMaxima` [m/s].
+        """
+        rounded_speed = reproducible_sums.quantize_speed(speed)
+        for field in self.values():
+            field.begin(rounded_speed)
+
+    def finalize_for_couplings(self, blocks: NodeBlocks, overflow: np.ndarray) -> None:
+        """Convert the sums that only couplings read to numbers.
+
+        Args:
+            blocks: Node blocks.
+            overflow: Node block in which a sum left its range, by field (in/out).
+        """
+        for number, (name, field) in enumerate(self.items()):
+            if name in self.requests.of_couplings:
+                reproducible_sums.finalize_field(blocks, field.tables, overflow, number)
 
 
 def contributions(

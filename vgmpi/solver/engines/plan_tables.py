@@ -1,17 +1,56 @@
 """Tables of a plan that kernels and the exchange of nodal sums read: walls, phases, fields."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from vgmpi.kernels.grid.divided_nodes import Phases
+from vgmpi.kernels.grid.mixture_workspace import mixture_tables
+from vgmpi.kernels.grid.update import RigidBoundaries
 from vgmpi.kernels.kernel_arguments import Walls
+from vgmpi.kernels.rigid.prescribed_motion import NO_PRESCRIBED_BODIES, PrescribedBodies
+from vgmpi.kernels.transfer.particle_shifting import NodeFill
 from vgmpi.kernels.wall_boundary import KINDS, SEPARATE, YIELDING
 from vgmpi.materials.couplings.interaction import CONTACT, MIXING
 from vgmpi.parallel.exchange_topology import MixtureProximity, TopologyRequirements
 from vgmpi.planning.phases_and_groups import PhasePlan
 from vgmpi.planning.plan import Plan
 
+from .engine_protocol import CollidersAtNodes
 from .nodal_field_storage import field_requests
 from .surface_fields import is_summed_at_surfaces
+
+
+class PlanTables(NamedTuple):
+    """Tables of a plan that kernels read at nodes."""
+
+    walls: Walls
+    phases: Phases
+    phase_sets: np.ndarray  # set with one velocity that each phase is in, -1 for none
+    mixtures: tuple  # tables of the mixtures, empty without rules
+    boundaries: RigidBoundaries  # prescribed bodies, without colliders
+    node_fill: NodeFill | None  # what fills the nodes' cells, without colliders
+
+
+def plan_tables(
+    plan: Plan, prescribed: PrescribedBodies | None, colliders: CollidersAtNodes | None
+) -> PlanTables:
+    """Return the tables of a plan.
+
+    Args:
+        plan: Plan of the run.
+        prescribed: Prescribed bodies.
+        colliders: Colliders at the nodes.
+    """
+    boundaries = RigidBoundaries(
+        np.zeros((0, 64, 4), plan.real), np.zeros((0, 64, 3), plan.real), np.zeros((0, 64), int),
+        NO_PRESCRIBED_BODIES if prescribed is None else prescribed.motions,
+        getattr(colliders, "is_free", np.zeros(0, bool)),
+    )  # fmt: skip
+    return PlanTables(
+        wall_table(plan), phase_table(plan), phase_sets(plan),
+        mixture_tables(plan.rules) if plan.rules is not None else (), boundaries, node_fill(plan),
+    )  # fmt: skip
 
 
 def wall_table(plan: Plan) -> Walls:
@@ -27,6 +66,17 @@ def wall_table(plan: Plan) -> Walls:
     for plane in plan.planes:
         for_surfaces[plane.axis, plane.side] = 0
     return Walls(np.array(plan.cells), kinds, for_solids, for_surfaces, friction)
+
+
+def open_wall(walls: Walls, wall: int) -> None:
+    """Remove a wall that has vanished.
+
+    Args:
+        walls: Kinds and friction (in/out).
+        wall: Number of the wall.
+    """
+    for kinds in walls[1:4]:
+        kinds[divmod(wall, 2)] = KINDS["open"]
 
 
 def wall_kinds_of(walls: Walls, phase: PhasePlan) -> np.ndarray:
@@ -47,6 +97,33 @@ def phase_table(plan: Plan) -> Phases:
         np.array([phase.meets_walls_by_contact for phase in plan.phases]),
         np.array([phase.is_liquid for phase in plan.phases]),
     )
+
+
+def node_fill(plan: Plan) -> NodeFill | None:
+    """Return what fills the nodes' cells, without colliders; None if no particles are shifted.
+
+    Prescribed bodies have no mass on the grid. Where liquids of one phase differ in density, their
+    volumes count, elsewhere masses do. Sand with a liquid in its pores counts by its grains.
+    """
+    if not plan.shift_interval:
+        return None
+    by_volume = np.array([phase.fills_by_volume for phase in plan.phases])
+    full = np.array(
+        [plan.dx**3 if by_volume[p] else phase.max_cell_mass for p, phase in enumerate(plan.phases)]
+    )  # [m3] or [kg] in a full cell
+    space = 1.0 / full
+    if plan.rules is not None:
+        porous = (plan.rules.mixture_set >= 0) & ~plan.rules.fluid
+        space = np.where(porous, plan.rules.volume / plan.dx**3, space)
+    space[[phase.driven for phase in plan.phases]] = 0.0
+    shifts = np.zeros(len(plan.phases), bool)
+    for group in plan.groups:
+        shifts[group.phase] |= group.shifts
+    walls = wall_table(plan)
+    return NodeFill(
+        space.astype(plan.real), by_volume, shifts,
+        np.zeros((0, 64, 4), plan.real), walls.cells, walls.kinds,
+    )  # fmt: skip
 
 
 def phase_sets(plan: Plan) -> np.ndarray:

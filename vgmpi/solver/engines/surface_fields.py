@@ -75,7 +75,7 @@ def fill_at_surfaces(engine, g: int, thread: int, rows: np.ndarray, dt: float) -
     surface, particles = part.surface, Particles(part.group.xi, part.group.f, part.group.ids)
     if surface is None:
         return
-    scratch = engine.scratch[thread]
+    scratch = engine.memory.scratch[thread]
     engine.call_if_rows(
         (), find_contributing_particles, rows[surface.chosen[rows]], part.segments, particles,
         engine.flags, surface.stencils, scratch,

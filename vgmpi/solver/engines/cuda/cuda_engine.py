@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vgmpi.kernels import reproducible_sums
 from vgmpi.kernels.grid import update as grid
 from vgmpi.kernels.kernel_arguments import (
     MAX_CELLS_PER_STEP,
@@ -19,13 +18,13 @@ from vgmpi.kernels.transfer.particle_shifting import NodeFill, ShiftConstants
 from vgmpi.parallel.block_lattice import BITS
 from vgmpi.parallel.exchange_topology import ExchangeTopology
 from vgmpi.parallel.halo_exchange import FieldMessage
-from vgmpi.solver.engines.cpu import Cpu
+from vgmpi.solver.engines.compiled_engine import CompiledEngine
 from vgmpi.solver.engines.engine_protocol import DITHER, AccumulatorOverflow, StepReport
 from vgmpi.solver.engines.group_context import GroupContext, auxiliary_gather_kind
 
 from . import gather_kernels, grid_kernels, scatter_kernels, thread_block, translation_types
 from .device_group import CardGroup
-from .device_memory import CardLayer, Copies, card_room, flattened, to_card, to_card_together
+from .device_memory import CardLayer, Copies, flattened, to_card, to_card_together
 from .graphics_card import with_device_context
 from .grid_kernels import NODES
 from .kernel_launch import Launcher
@@ -47,7 +46,7 @@ class Work(NamedTuple):
     contributions: dict  # (contribution, border) -> (n,) segments
 
 
-class Cuda(Cpu):
+class Cuda(CompiledEngine):
     """Particles and nodes of one rank on a GPU; see solver/engines/engine_protocol.py."""
 
     GROUP, LAYER, LAUNCHER = CardGroup, CardLayer, Launcher
@@ -59,7 +58,7 @@ class Cuda(Cpu):
         self.step_number = 0  # number of the step, for error messages
         self.work: list[Work] = []
         phases = len(plan.phases)
-        patches = 1 + sum(self.gathered.values())
+        patches = 1 + sum(self.layers.gathered.values())
         by_cells = any(group.cell_dilatation for group in plan.groups)
         sizes = {
             "WORDS": self.words, "PHASES": phases, "SPLINES": bool(plan.splines), "CELLS": by_cells,
@@ -98,11 +97,6 @@ class Cuda(Cpu):
 
     # ---- after a sort ----------------------------------------------------------------------------
 
-    @staticmethod
-    def grown_nodes(values, rows: int):
-        """Return an array of node blocks with room for `rows` blocks."""
-        return card_room(values, rows, (reproducible_sums.BLOCK,), values.dtype)
-
     @with_device_context
     def set_topology(self, tables: ExchangeTopology, unchanged: bool = False) -> None:
         """Allocate nodes and segment tables after a sort."""
@@ -120,13 +114,13 @@ class Cuda(Cpu):
         self.copies.clear()
         shares = [self.block_shares.stage(border)[0] for border in (False, True)]
         segments = [(*part.segments[:5], part.segments.mirror) for part in self.parts]
-        constant = self.walls, self.phases, self.no_rigid
+        constant = self.plan_tables.walls, self.plan_tables.phases, self.plan_tables.boundaries
         self.copies.add((self.blocks, *shares, *constant, *segments))
         self.todo = dict(zip((False, True), map(self.copies.on_device, shares), strict=True))
         self.on_card = self.copies.on_device(self.blocks)
         self.auxiliary = {
             name: flattened(self.copies.on_device(values))
-            for name, values in self.gathered_nodes.items()
+            for name, values in self.layers.gathered_nodes.items()
         }
         self.rigid = self._rigid()
         self.work = [self._laid_out(part) for part in self.parts]
@@ -164,7 +158,7 @@ class Cuda(Cpu):
         """Remove a wall that has vanished."""
         super().open(wall)
         self._forget_arguments()
-        self.copies.forget(self.walls)
+        self.copies.forget(self.plan_tables.walls)
         for part in self.parts:
             self.copies.forget(part.segments.mirror)
         self.work = [self._laid_out(part) for part in self.parts]
@@ -244,16 +238,17 @@ class Cuda(Cpu):
         if not self.dt:
             self._half(
                 NODES, grid_kernels.settle, len(blocks), blocks, self.on_card, momentum,
-                copy(self.phase_sets), copy(self.phases), self._fill_on_card(),
-                *self.rest_volumes, self.step, self.record.overflow,
+                copy(self.plan_tables.phase_sets), copy(self.plan_tables.phases),
+                self._fill_on_card(), *self.rest_volumes, self.step, self.record.overflow,
             )  # fmt: skip
             return
         separate, kernel = None, grid_kernels.update
-        if self.separates_stress:
+        if self.layers.separates_stress:
             kernel = grid_kernels.update_apart
             separate = grid.SeparatedStress(
                 self.layers["impulses"].tables, **self.auxiliary,
-                needs_change=int(self.gathered["change"]), workspace=(), tables=copy(self.pairs),
+                needs_change=int(self.layers.gathered["change"]), workspace=(),
+                tables=copy(self.plan_tables.mixtures),
             )  # fmt: skip
         shear = self.layers["shear"].tables if self.plan.has_surface_friction else None
         summed = grid.CommonFields(momentum, self.layers["offsets"].tables)
@@ -261,15 +256,15 @@ class Cuda(Cpu):
         reactions = None if self.reactions is None else copy(self.reactions.by_thread[0])
         self._half(
             NODES, kernel, len(blocks), blocks, self.on_card, summed, shear, separate, rules,
-            copy(self.walls), copy(self.phases), self._rigid() if self._moves else self.rigid,
-            reactions, self.step,
+            copy(self.plan_tables.walls), copy(self.plan_tables.phases),
+            self._rigid() if self._moves else self.rigid, reactions, self.step,
             self.record.overflow,
         )  # fmt: skip
-        for name, carried in self.requests.carried.items():
+        for name, carried in self.layers.requests.carried.items():
             self._half(
                 NODES, grid_kernels.blend, len(blocks), blocks, self.on_card,
                 self.layers[name].tables, copy(carried.set_of), self.record.overflow,
-                self.number_of_field[name],
+                self.layers.numbers[name],
             )  # fmt: skip
 
     def _fill_on_card(self) -> NodeFill | None:
@@ -280,7 +275,7 @@ class Cuda(Cpu):
 
     def _rigid(self) -> grid.RigidBoundaries:
         """Return colliders and prescribed bodies in their current state."""
-        rigid, solids = self.no_rigid, self.solids
+        rigid, solids = self.plan_tables.boundaries, self.solids
         if solids is not None:
             rigid = rigid._replace(
                 nodes=solids.nodes, moves=solids.moves, collider_number=solids.collider_number
@@ -377,7 +372,7 @@ class Cuda(Cpu):
         """Return the sums that left their range in the present step."""
         if (report.overflow == FINE).all():
             return []
-        self.overflow[0] = np.where(report.overflow == FINE, 0, report.overflow)
+        self.memory.overflow[0] = np.where(report.overflow == FINE, 0, report.overflow)
         return self._found_beyond()
 
     @with_device_context

@@ -187,6 +187,11 @@ class CardLayer(NodalField):
     nodes: Any
     device_bias: Any
 
+    @staticmethod
+    def grow_nodes(nodes, count: int):
+        """Return an array of node blocks with room for `count` of them."""
+        return card_room(nodes, count, (reproducible_sums.BLOCK,), nodes.dtype)
+
     def set_topology(self, requested: np.ndarray, phase_of_row: np.ndarray) -> None:
         """Allocate node blocks.
 

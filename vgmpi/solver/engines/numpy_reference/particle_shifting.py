@@ -22,7 +22,7 @@ from vgmpi.kernels.transfer.particle_shifting import (
 from vgmpi.parallel.block_lattice import position_limits
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.plan import Plan
-from vgmpi.solver.engines.shift_tables import node_fill
+from vgmpi.solver.engines.plan_tables import node_fill
 
 from .dense_grid import Dense, Stencil
 from .group_channels import get_channel, put_channel

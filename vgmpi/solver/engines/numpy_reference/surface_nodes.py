@@ -10,7 +10,6 @@ import numpy as np
 from vgmpi.features.active_feature import NodeState
 from vgmpi.kernels.grid.contact_impulses import contact_workspace
 from vgmpi.kernels.kernel_arguments import NodeBlocks, Sums
-from vgmpi.kernels.wall_boundary import KINDS
 from vgmpi.parallel.exchange_topology import GRADIENTS, ExchangeTopology
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.plan import Plan
@@ -19,7 +18,7 @@ from vgmpi.solver.engines.nodal_field_storage import (
     fields_near_colliders,
     near_colliders_of_group,
 )
-from vgmpi.solver.engines.plan_tables import phase_table, wall_table
+from vgmpi.solver.engines.plan_tables import open_wall, phase_table, wall_table
 from vgmpi.solver.engines.reaction_sums import ReactionAccumulators
 
 from .dense_grid import Dense, Stencil
@@ -52,8 +51,7 @@ class SurfaceNodes(KernelCaller):
 
     def remove_wall(self, wall: int) -> None:
         """Remove a wall that has vanished."""
-        for kinds in self.walls[1:4]:
-            kinds[divmod(wall, 2)] = KINDS["open"]
+        open_wall(self.walls, wall)
 
     def sum_reactions(self, rows: int, quanta: np.ndarray, rank: int) -> None:
         """Start to sum the reactions of rigid surfaces.

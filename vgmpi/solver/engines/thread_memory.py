@@ -1,8 +1,50 @@
-"""Partition of work among the threads of a rank, and accumulator copies where threads meet."""
+"""Threads of a rank: their scratch memory, their shares of the work, and copies where they meet."""
 
 import numpy as np
 
+from vgmpi.kernels import particle_records
+from vgmpi.kernels.grid import contact_impulses, mixture_workspace
+from vgmpi.kernels.step_records import MAXIMA
 from vgmpi.parallel.exchange_topology import ExchangeTopology
+from vgmpi.planning.plan import Plan
+from vgmpi.runtime.aligned_arrays import aligned_zeros
+
+from . import surface_fields
+from .nodal_field_storage import NodalFields
+
+
+class ThreadMemory:
+    """Scratch memory of the threads, and what they report of a step.
+
+    Attributes:
+        scratch: Patches and records of particles.
+        workspaces: Workspaces of contact at a node.
+        mixture_workspaces: Workspaces of mixtures at a node, where stress is summed separately.
+        reports: Maxima of the particles, shape (groups, threads, MAXIMA).
+        overflow: Node block, counted from 1, in which a sum left its range, by thread and field.
+    """
+
+    def __init__(self, plan: Plan, threads: int, fields: NodalFields):
+        """Allocate the memory.
+
+        Args:
+            plan: Plan of the run.
+            threads: Number of threads.
+            fields: Nodal fields.
+        """
+        patch_count = max(
+            sum(fields.gathered.values()), int(plan.shift_interval > 0),
+            surface_fields.patch_count(plan),
+        )  # fmt: skip
+        phases = len(plan.phases)
+        self.scratch = [particle_records.scratch(plan.real, patch_count) for _ in range(threads)]
+        self.workspaces = [contact_impulses.contact_workspace(phases) for _ in range(threads)]
+        self.mixture_workspaces = [
+            mixture_workspace.mixture_workspace(phases, plan.real, aligned_zeros)
+            for _ in range(threads if fields.separates_stress else 0)
+        ]
+        self.reports = np.zeros((len(plan.groups), threads, MAXIMA))
+        self.overflow = np.zeros((threads, len(fields)), np.int64)
 
 
 class ThreadPartition:
