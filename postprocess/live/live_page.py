@@ -6,6 +6,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -50,6 +51,16 @@ class ViewState(NamedTuple):
     version: tuple | None  # state of the frame's file
 
 
+@dataclass
+class DueTimes:
+    """Times of `time.monotonic` [s] from which something is due again."""
+
+    look: float = 0.0  # at the folder
+    status: float = 0.0  # of the run on the panel
+    play: float = 0.0  # next frame, while the page plays
+    plot: float = 0.0  # look at the table of the plot
+
+
 class LivePage:
     """Page of one run. Callbacks of viser only set values; `run` does the work in one thread."""
 
@@ -74,7 +85,7 @@ class LivePage:
         self._eye = np.zeros(3)  # [m] from which the colors of the frame are seen
         self._requested_number: int | None = None
         self._requested_views: list[tuple[str, View]] = []
-        self._next_status = self._next_plot = self._next_play = self._next_try = 0.0
+        self._due = DueTimes()
         self._plot_state: tuple | None = None
         self._logged = ""  # the last fault in the log
         self._fault = ""  # why the wanted frame or curve is not shown
@@ -151,7 +162,7 @@ class LivePage:
     def _welcome(self, client: Any) -> None:
         """Show a new viewer the newest state."""
         self._fit_view(client)
-        self._next_status = 0.0
+        self._due.status = 0.0
         self._wake.set()
 
     def _request_view(self, action: str, event: Any) -> None:
@@ -172,7 +183,7 @@ class LivePage:
                     self._update()
                 except Exception as error:  # the page stays for all viewers
                     self._log_fault(error)
-                    self._next_try = time.monotonic() + RETRY_SECONDS
+                    self._due.look = time.monotonic() + RETRY_SECONDS
                 self._wake.wait(self._pause())
                 self._wake.clear()
         finally:
@@ -185,7 +196,7 @@ class LivePage:
 
     def _pause(self) -> float:
         """Return the time until the next look at the folder [s]."""
-        waiting = self._next_play - time.monotonic()
+        waiting = self._due.play - time.monotonic()
         return min(POLL_SECONDS, max(waiting, 0.0)) if self.panel.playing.value else POLL_SECONDS
 
     def _is_deserted(self) -> bool:
@@ -204,12 +215,12 @@ class LivePage:
     def _update(self) -> None:
         """Do everything that is due."""
         self._act_on_views()
-        if time.monotonic() < self._next_try:
+        if time.monotonic() < self._due.look:
             return
         try:
             was_absent = self.followed.reader is None
             if self.followed.refresh():
-                self._next_status = self._next_plot = 0.0
+                self._due.status = self._due.plot = 0.0
                 if was_absent or self.followed.cell() != self._cell:
                     self._begin_scene()
             if self.server.get_clients():
@@ -217,7 +228,7 @@ class LivePage:
                 self._show_frame()
                 self._show_plot()
         except (RunError, SettingsError) as error:
-            self._next_try = time.monotonic() + RETRY_SECONDS
+            self._due.look = time.monotonic() + RETRY_SECONDS
             self.panel.show_status([str(error).splitlines()[0]])
 
     def _begin_scene(self) -> None:
@@ -248,9 +259,9 @@ class LivePage:
     def _show_status(self) -> None:
         """Show the state of the run, if it is due."""
         now = time.monotonic()
-        if now < self._next_status or self.followed.reader is None:
+        if now < self._due.status or self.followed.reader is None:
             return
-        self._next_status = now + STATUS_SECONDS
+        self._due.status = now + STATUS_SECONDS
         selection = self.followed.selection
         lines = [str(self.followed.folder), *read_progress(self.followed.reader).lines()]
         if selection is not None:
@@ -269,13 +280,13 @@ class LivePage:
         requested, self._requested_number = self._requested_number, None
         interval = 1.0 / float(panel.rate.value)
         if requested is not None:
-            self._next_play = now + interval
+            self._due.play = now + interval
             number = max((n for n in numbers if n <= requested), default=numbers[0])
             return number, self._requested_number is None
         if panel.following.value:
             return numbers[-1], True
-        if panel.playing.value and now >= self._next_play:
-            self._next_play = now + interval
+        if panel.playing.value and now >= self._due.play:
+            self._due.play = now + interval
             return next((n for n in numbers if n > current), numbers[0]), True
         return max((n for n in numbers if n <= current), default=numbers[0]), False
 
@@ -300,7 +311,7 @@ class LivePage:
             self._send_frame(self.followed.read_frame(number, self._eye, choice), field)
             self._fault = ""
         except RunError as error:
-            self._fault, self._next_status = str(error).splitlines()[0], 0.0
+            self._fault, self._due.status = str(error).splitlines()[0], 0.0
 
     def _send_frame(self, frame: ShownFrame, field: str) -> None:
         """Send a frame to the viewers."""
@@ -327,7 +338,7 @@ class LivePage:
             return
         state = (name, file_state(plot_file(self.followed.folder, name)))
         is_other = self._plot_state is None or self._plot_state[0] != name
-        if state == self._plot_state or (now < self._next_plot and not is_other):
+        if state == self._plot_state or (now < self._due.plot and not is_other):
             return
         self._plot_state = state
         try:
@@ -335,7 +346,7 @@ class LivePage:
         except RunError as error:
             self.panel.show_message(str(error).splitlines()[0])
         duration = time.monotonic() - now
-        self._next_plot = now + duration / PLOT_SHARE
+        self._due.plot = now + duration / PLOT_SHARE
 
     def _act_on_views(self) -> None:
         """Save and draw the views that viewers have asked for."""

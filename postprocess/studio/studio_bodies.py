@@ -110,6 +110,113 @@ def upstream_positions(mouth: np.ndarray, velocity: np.ndarray, spacing: float) 
     return mouth - np.outer(spacing / per_layer * np.arange(len(mouth)), direction)
 
 
+class SceneryBodies:
+    """Rest normals, kinds and volumes of the scenery.
+
+    Attributes:
+        normal: Normals at rest, shape (n, 3).
+        kind: Shares of sand, snow and captures, shape (n, 3).
+        volume: Volumes, shape (n,) [m3].
+        area: Areas of flat Gaussians that are no capture, else 0, shape (n,) [m2].
+        skins: Rows of each body that is a flat skin.
+        filling: What hides light inside of closed scenery; None before a frame asks for it.
+        surface: Flat Gaussians of shapes, or None.
+    """
+
+    def __init__(self, look: Appearance, scenery: Scenery, captured: np.ndarray, painted: float):
+        """Determine them, and cut the scenery at its edges (in/out).
+
+        Args:
+            look: Appearance of the run.
+            scenery: Gaussians of the scenery (in/out).
+            captured: Whether each object is a capture.
+            painted: Strength of the light painted on the colors.
+        """
+        self.look, self.scenery = look, scenery
+        rows = look.run.gaussians.scenery
+        x0, object_ids = np.asarray(rows.x0, dtype=np.float64), np.asarray(rows.object)
+        sd = np.sqrt(
+            np.maximum(np.asarray(rows.cov0, dtype=np.float64)[:, (0, 3, 5)].max(axis=1), 0)
+        )
+        self.normal, self.volume = np.zeros_like(x0), np.zeros(len(x0))
+        shift, cov0 = np.zeros_like(x0), scenery.cov0.copy()
+        is_flat = body_normals.thin_axes(np.asarray(rows.cov0))[1]
+        for k in np.unique(object_ids):
+            members = np.flatnonzero(object_ids == k)
+            s = max(SCENERY_SPACING * float(np.median(sd[members])), 1e-9)
+            surface = _rest_surface(rows, members, s, captured[k], painted)
+            self.normal[members], shift[members], cov0[members] = surface
+            self.volume[members] = s**3
+        scenery.x0, scenery.cov0 = x0 + shift, cov0
+        is_skin = is_flat & ~captured[object_ids]
+        self.area = np.where(is_skin, np.cbrt(self.volume) ** 2, 0.0)
+        self.kind = _kind_shares(captured[object_ids])
+        bodies = [np.flatnonzero(object_ids == k) for k in np.unique(object_ids)]
+        self.skins = [rows for rows in bodies if np.median(self.area[rows]) > 0]
+        self.filling: SceneryFilling | None = None
+        self.surface = shape_surfaces.surface_of_scenery(look)
+
+    def fill(self, cell: float, frame: dict) -> tuple[np.ndarray, SceneryFilling]:
+        """Return what hides light inside of closed scenery: positions (n, 3) [m] and the rest.
+
+        Args:
+            cell: Cell size of the occlusion [m].
+            frame: Arrays of the frame.
+        """
+        if self.filling is None:
+            x, particles = self.scenery.x0, np.asarray(self.look.run.gaussians.x0)
+            self.filling = fill_scenery(
+                x, self.normal, self.skins, np.cbrt(self.volume), self.scenery.moving, cell,
+                particles,
+            )  # fmt: skip
+        return self.filling.positions(frame.get("poses", ())), self.filling
+
+    def hiding_volumes(self, cell: float) -> np.ndarray:
+        """Return the volumes (n,) [m3] with which scenery hides light.
+
+        The skin of a mesh is empty inside; it counts as thick enough to hide all light.
+
+        Args:
+            cell: Cell size of the occlusion [m].
+        """
+        return np.maximum(self.volume, OPAQUE_LAYER * cell * self.area)
+
+    def opaque(self, part: GaussianBatch, frame: dict) -> tuple:
+        """Return the part with its normals, kinds and the shading in its colors.
+
+        Args:
+            part: Gaussians of the scenery in the frame.
+            frame: Arrays of the frame.
+        """
+        rotated = self.normal.copy()
+        for rows, pose in zip(self.scenery.moving, frame.get("poses", ())):
+            rotated[rows] = rotated[rows] @ np.asarray(pose)[:3, :3].T
+        if self.surface is not None:
+            covered = np.zeros(len(part.x), bool)
+            covered[self.surface.covered] = True
+            part = shape_surfaces.without(part, covered)
+        return part, rotated, self.kind, self._shade()
+
+    def surface_of_shapes(self, carriers: GaussianBatch, frame: dict) -> list[tuple]:
+        """Return the flat Gaussians of shapes as `opaque` does, if there are any.
+
+        Args:
+            carriers: Gaussians of the scenery in the frame.
+            frame: Arrays of the frame.
+        """
+        if self.surface is None:
+            return []
+        F = np.tile(np.eye(3).ravel(), (len(carriers.x), 1))
+        for members, pose in zip(self.scenery.moving, frame.get("poses", ())):
+            F[members] = np.asarray(pose)[:3, :3].ravel()
+        rows = self.surface.parent
+        return [_carried_surface(self.surface, carriers, rows, F[rows], self._shade())]
+
+    def _shade(self) -> np.ndarray | None:
+        """Return the shading in the colors, if there is any."""
+        return getattr(self.look.run.gaussians.scenery, "shade", None)
+
+
 class Bodies:
     """Material of each particle, and rest normals of opaque bodies."""
 
@@ -138,51 +245,19 @@ class Bodies:
             members = np.flatnonzero(object_ids == k)
             if len(members) and not self.fluid[members[0]] and not self.granular[members[0]]:
                 s = float(np.cbrt(np.median(look.vol0[members])))
-                surface = self._rest_surface(gaussians, members, s, captured[k])
+                surface = _rest_surface(gaussians, members, s, captured[k], self.painted)
                 self.normal[members], self.shift[members], cov0[members] = surface
         look.cov0 = cov0
         self.shifted = np.asarray(self.shift.any(axis=1))
-        self.scenery_normal: np.ndarray | None = None
-        self.scenery_kind: np.ndarray | None = None
-        self.scenery_volume = self.scenery_area = np.zeros(0)
-        self.skins: list[np.ndarray] = []
-        self.filling: SceneryFilling | None = None
+        self.scenery: SceneryBodies | None = None
         if look.scenery is not None:
-            self._scenery(look.scenery, gaussians.scenery, captured)
+            self.scenery = SceneryBodies(look, look.scenery, captured, self.painted)
         self.surface = shape_surfaces.surface_of_bodies(look)
         self.is_covered = np.zeros(len(x0), bool)
         if self.surface is not None:
             self.is_covered[self.surface.covered] = True
-        self.moving = [] if look.scenery is None else look.scenery.moving
-        self.scenery_surface = shape_surfaces.surface_of_scenery(look)
         if look.passive is not None:
             self._riders(look.passive, gaussians.passive, captured)
-
-    def _rest_surface(
-        self, rows, members: np.ndarray, spacing: float, captured: bool
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return normals (n, 3) of one body at rest, and its Gaussians cut at edges.
-
-        The cut is a displacement (n, 3) [m] and a covariance (n, 6) [m2] of each.
-
-        Args:
-            rows: Arrays of gaussians.h5, of its scenery or of its carried Gaussians.
-            members: Rows of the body.
-            spacing: Spacing of its Gaussians [m].
-            captured: Whether it is a capture, whose Gaussians stay as they are.
-        """
-        shade, facing = getattr(rows, "shade", None), None
-        if shade is not None and self.painted > 0:
-            facing = facing_of_shade(np.asarray(shade)[members], self.painted)
-        x0 = np.asarray(rows.x0, dtype=np.float64)[members]
-        cov = np.asarray(rows.cov0, dtype=np.float64)[members]
-        normal, flat, covered = body_normals.rest_normals(x0, cov, spacing, facing)
-        shift = np.zeros_like(x0)
-        if len(flat) and not captured:
-            cut = surface_edges.cut_at_edges(x0[flat], normal[flat], cov[flat])
-            shift[flat], cov[flat] = cut
-            cov[covered] *= HIDDEN_SCALE
-        return normal, shift, cov
 
     def _riders(self, passive: Passive, rows, captured: np.ndarray) -> None:
         """Determine normals and kinds of carried Gaussians."""
@@ -193,58 +268,10 @@ class Bodies:
         for k in np.unique(object_ids):
             members = np.flatnonzero(object_ids == k)
             s = float(np.cbrt(np.median(self.look.vol0[self.look.object == k])))
-            surface = self._rest_surface(rows, members, s, captured[k])
+            surface = _rest_surface(rows, members, s, captured[k], self.painted)
             self.rider_normal[members], shift[members], cov0[members] = surface
         passive.offset = passive.offset + shift[:, None]
         passive.cov0 = cov0
-
-    def _scenery(self, scenery: Scenery, rows, captured: np.ndarray) -> None:
-        """Determine normals, volumes and kinds of the scenery."""
-        x0, object_ids = np.asarray(rows.x0, dtype=np.float64), np.asarray(rows.object)
-        sd = np.sqrt(
-            np.maximum(np.asarray(rows.cov0, dtype=np.float64)[:, (0, 3, 5)].max(axis=1), 0)
-        )
-        normal, volume = np.zeros_like(x0), np.zeros(len(x0))
-        shift, cov0 = np.zeros_like(x0), scenery.cov0.copy()
-        is_flat = body_normals.thin_axes(np.asarray(rows.cov0))[1]
-        for k in np.unique(object_ids):
-            members = np.flatnonzero(object_ids == k)
-            s = max(SCENERY_SPACING * float(np.median(sd[members])), 1e-9)
-            surface = self._rest_surface(rows, members, s, captured[k])
-            normal[members], shift[members], cov0[members] = surface
-            volume[members] = s**3
-        scenery.x0, scenery.cov0 = x0 + shift, cov0
-        self.scenery_normal, self.scenery_volume = normal, volume
-        self.scenery_area = np.where(is_flat & ~captured[object_ids], np.cbrt(volume) ** 2, 0.0)
-        self.scenery_kind = _kind_shares(captured[object_ids])
-        bodies = [np.flatnonzero(object_ids == k) for k in np.unique(object_ids)]
-        self.skins = [rows for rows in bodies if np.median(self.scenery_area[rows]) > 0]
-
-    def scenery_filling(self, cell: float, frame: dict) -> tuple[np.ndarray, SceneryFilling]:
-        """Return what hides light inside of closed scenery: positions (n, 3) [m] and the rest.
-
-        Args:
-            cell: Cell size of the occlusion [m].
-            frame: Arrays of the frame.
-        """
-        if self.filling is None:
-            assert self.look.scenery is not None and self.scenery_normal is not None
-            x, particles = self.look.scenery.x0, np.asarray(self.look.run.gaussians.x0)
-            spacing = np.cbrt(self.scenery_volume)
-            self.filling = fill_scenery(
-                x, self.scenery_normal, self.skins, spacing, self.moving, cell, particles
-            )
-        return self.filling.positions(frame.get("poses", ())), self.filling
-
-    def scenery_volumes(self, cell: float) -> np.ndarray:
-        """Return the volumes (n,) [m3] with which scenery hides light.
-
-        The skin of a mesh is empty inside; it counts as thick enough to hide all light.
-
-        Args:
-            cell: Cell size of the occlusion [m].
-        """
-        return np.maximum(self.scenery_volume, OPAQUE_LAYER * cell * self.scenery_area)
 
     def opaque(
         self, parts: list[GaussianBatch], particle_part: int, frame: dict, solid: np.ndarray
@@ -271,19 +298,8 @@ class Bodies:
             )
         ]
         if particle_part:
-            scenery = self.look.scenery
-            assert scenery is not None and self.scenery_normal is not None
-            assert self.scenery_kind is not None
-            rotated = self.scenery_normal.copy()
-            for rows, pose in zip(scenery.moving, frame.get("poses", ())):
-                rotated[rows] = rotated[rows] @ np.asarray(pose)[:3, :3].T
-            shade = getattr(self.look.run.gaussians.scenery, "shade", None)
-            static = parts[0]
-            if self.scenery_surface is not None:
-                covered = np.zeros(len(static.x), bool)
-                covered[self.scenery_surface.covered] = True
-                static = shape_surfaces.without(static, covered)
-            out.insert(0, (static, rotated, self.scenery_kind, shade))
+            assert self.scenery is not None
+            out.insert(0, self.scenery.opaque(parts[0], frame))
         if len(parts) > particle_part + 1:
             rider_rows = parts[particle_part + 1].rider_rows
             assert rider_rows is not None
@@ -303,32 +319,20 @@ class Bodies:
                     _shade_of_rows(shade, rider_rows),
                 )
             )
-        out += self._surfaces_of_shapes(parts, particle_part, frame)
+        out += self._surface_of_shapes(parts[particle_part], frame)
+        if self.scenery is not None:
+            out += self.scenery.surface_of_shapes(parts[0], frame)
         return tuple(map(list, zip(*out)))
 
-    def _surfaces_of_shapes(self, parts, particle_part: int, frame: dict) -> list[tuple]:
-        """Return the flat Gaussians of shapes as `opaque` does."""
-        out = []
-        for surface, number in ((self.surface, particle_part), (self.scenery_surface, 0)):
-            if surface is None:
-                continue
-            carriers = parts[number]
-            if surface is self.surface:
-                row_of = np.full(len(self.captured), -1)
-                row_of[np.asarray(frame["id"])] = np.arange(len(carriers.x))
-                rows, shade = row_of[surface.parent], self.look.shade
-                F = np.asarray(frame["F"])[rows]
-            else:
-                rows = surface.parent
-                shade = getattr(self.look.run.gaussians.scenery, "shade", None)
-                F_all = np.tile(np.eye(3).ravel(), (len(carriers.x), 1))
-                for members, pose in zip(self.moving, frame.get("poses", ())):
-                    F_all[members] = np.asarray(pose)[:3, :3].ravel()
-                F = F_all[rows]
-            batch, normal, present = shape_surfaces.carry(surface, carriers, rows, F)
-            kind = np.zeros((len(present), 3))
-            out.append((batch, normal, kind, _shade_of_rows(shade, surface.parent[present])))
-        return out
+    def _surface_of_shapes(self, carriers: GaussianBatch, frame: dict) -> list[tuple]:
+        """Return the flat Gaussians of shapes as `opaque` does, if there are any."""
+        if self.surface is None:
+            return []
+        row_of = np.full(len(self.captured), -1)
+        row_of[np.asarray(frame["id"])] = np.arange(len(carriers.x))
+        rows = row_of[self.surface.parent]
+        F = np.asarray(frame["F"])[rows]
+        return [_carried_surface(self.surface, carriers, rows, F, self.look.shade)]
 
     def _cut_at_edges(
         self, part: GaussianBatch, ids: np.ndarray, frame: dict, rows: np.ndarray
@@ -363,6 +367,51 @@ class Bodies:
             s = float(np.cbrt(np.median(self.look.vol0[ids[members]])))
             out[members] = body_normals.density_normals(x[members], s)
         return out
+
+
+def _rest_surface(
+    rows, members: np.ndarray, spacing: float, captured: bool, painted: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return normals (n, 3) of one body at rest, and its Gaussians cut at edges.
+
+    The cut is a displacement (n, 3) [m] and a covariance (n, 6) [m2] of each.
+
+    Args:
+        rows: Arrays of gaussians.h5, of its scenery or of its carried Gaussians.
+        members: Rows of the body.
+        spacing: Spacing of its Gaussians [m].
+        captured: Whether it is a capture, whose Gaussians stay as they are.
+        painted: Strength of the light painted on the colors.
+    """
+    shade, facing = getattr(rows, "shade", None), None
+    if shade is not None and painted > 0:
+        facing = facing_of_shade(np.asarray(shade)[members], painted)
+    x0 = np.asarray(rows.x0, dtype=np.float64)[members]
+    cov = np.asarray(rows.cov0, dtype=np.float64)[members]
+    normal, flat, covered = body_normals.rest_normals(x0, cov, spacing, facing)
+    shift = np.zeros_like(x0)
+    if len(flat) and not captured:
+        cut = surface_edges.cut_at_edges(x0[flat], normal[flat], cov[flat])
+        shift[flat], cov[flat] = cut
+        cov[covered] *= HIDDEN_SCALE
+    return normal, shift, cov
+
+
+def _carried_surface(
+    surface, carriers: GaussianBatch, rows: np.ndarray, F: np.ndarray, shade: np.ndarray | None
+) -> tuple:
+    """Return flat Gaussians of shapes with their normals, kinds and the shading in their colors.
+
+    Args:
+        surface: The flat Gaussians.
+        carriers: Gaussians that carry them in the frame.
+        rows: Row of the carrier of each.
+        F: Deformation gradients of these rows, shape (n, 9).
+        shade: Shading of all carriers, or None.
+    """
+    batch, normal, present = shape_surfaces.carry(surface, carriers, rows, F)
+    kind = np.zeros((len(present), 3))
+    return batch, normal, kind, _shade_of_rows(shade, surface.parent[present])
 
 
 def _baked_shading(run) -> float:

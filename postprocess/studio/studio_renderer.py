@@ -177,13 +177,16 @@ class Studio:
         low, high = self.domain.low, self.domain.high
         cell = cone_occlusion.cell_size(low, high, cells)
         xs, volumes, colors = [np.zeros((0, 3))], [np.zeros(0)], [np.zeros((0, 3))]
+        scenery = self.bodies.scenery
         for k, g in enumerate(opaque[: main + 1]):  # the bodies of carried Gaussians included
             xs.append(g.x)
-            volume = self.bodies.scenery_volumes(cell) if k < main else self.look.vol0[ids[solid]]
-            volumes.append(volume)
+            if scenery is not None and k < main:
+                volumes.append(scenery.hiding_volumes(cell))
+            else:
+                volumes.append(self.look.vol0[ids[solid]])
             colors.append(tone_mapping.to_linear(np.clip(_base_color(g), 0, 1)))
-        if self.bodies.skins:
-            inside, filling = self.bodies.scenery_filling(cell, frame)
+        if scenery is not None and scenery.skins:
+            inside, filling = scenery.fill(cell, frame)
             xs.append(inside)
             volumes.append(filling.volume)
             colors.append(colors[1][filling.parent])
