@@ -167,8 +167,10 @@ def _default(action: argparse.Action) -> str:
 
 
 def _help(action: argparse.Action) -> str:
-    """Return the text of an argument on one line."""
-    return " ".join((action.help or "").replace("%%", "%").split())
+    """Return the text of an argument on one line, without a default that has its own column."""
+    text = " ".join((action.help or "").replace("%%", "%").split())
+    default = _default(action).strip("`")
+    return text.removesuffix(f" [{default}]").removesuffix(f"; default: {default}")
 
 
 def _sentence(text: str) -> str:

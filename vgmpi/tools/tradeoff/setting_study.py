@@ -128,7 +128,7 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
 
 def _measures() -> str:
     """Return the help text of --measure."""
-    return "\n".join(f"{name}: {LABELS[name]}" for name in MEASURES) + "  [places]"
+    return ";\n".join(f"{name}: {LABELS[name]}" for name in MEASURES) + " [places]"
 
 
 def _amount(parser: argparse.ArgumentParser, name: str, text: str, unit: str) -> float:
