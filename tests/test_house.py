@@ -40,7 +40,7 @@ OUTSIDE = {  # packages that only some files may use
         "postprocess/commands/view.py",
         "postprocess/commands/export.py",
         "vgmpi/tools/photo/visual_hull.py",
-        "vgmpi/tools/notebook/run_frames.py",
+        "vgmpi/tools/notebook/opened_run.py",
     ),
     "vtkmodules": ("vgmpi/preprocess/meshes/reader_process.py",),  # a process of its own
     "pxr": ("postprocess/export/usd_stage.py",),  # OpenUSD: one file of a moving run
@@ -60,13 +60,9 @@ OUTSIDE = {  # packages that only some files may use
     "warp": (
         "vgmpi/tools/bench/warp_baseline.py",
         "vgmpi/tools/bench/board/newton_board_solver.py",
-        "vgmpi/tools/bench/board/newton_floating_block.py",
     ),
     # rivals of the board, in an environment of their own
-    "newton": (
-        "vgmpi/tools/bench/board/newton_board_solver.py",
-        "vgmpi/tools/bench/board/newton_floating_block.py",
-    ),
+    "newton": ("vgmpi/tools/bench/board/newton_board_solver.py",),
     "genesis": ("vgmpi/tools/bench/board/genesis_board_solver.py",),
     "gsply": ("vgmpi/gaussians/formats/ply.py",),
     "torch": (
@@ -96,7 +92,7 @@ COMPILED = (
     "vgmpi/parallel/node_overlap.py",
     "vgmpi/tools/bench/numba_baseline.py",
     "vgmpi/tools/bench/roofline.py",
-    "vgmpi/tools/photo/texture_synthesis.py",  # searches for patches of a picture
+    "vgmpi/tools/photo/background_inpainting.py",  # searches for patches of a picture
 )
 PRINT = (
     "postprocess/commands/",
@@ -164,8 +160,8 @@ def test_packages_are_used_in_their_rooms(file):
         ("vgmpi/tools/photo/object_masks.py", "transformers"),
         ("vgmpi/tools/fit/sds_descent.py", "torch"),
         ("vgmpi/preprocess/meshes/bounded_reader.py", "vtkmodules"),
-        ("vgmpi/tools/fit/target_factory.py", "diffusers"),
-        ("vgmpi/tools/fit/run_renderer.py", "postprocess.frames.frame_renderer"),
+        ("vgmpi/tools/fit/__main__.py", "diffusers"),
+        ("vgmpi/tools/fit/target_base.py", "postprocess.frames.frame_renderer"),
     ],
 )
 def test_the_rule_sees_a_wrong_import(file, imported):

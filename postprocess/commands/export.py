@@ -20,6 +20,7 @@ from tqdm import tqdm
 from vgmpi.gaussians.capture_conventions import to_ply_frame, with_render_model
 from vgmpi.gaussians.cloud import GaussianCloud, principal_axes
 from vgmpi.gaussians.formats import gltf, registry, sog, spz
+from vgmpi.io import mesh_files
 from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.runtime.command_line import (
     ArgumentParser,
@@ -28,24 +29,52 @@ from vgmpi.runtime.command_line import (
     usage_error_code,
 )
 
-from ..export import export_moving, point_export, surface_export
+from ..export import export_moving, surface_export
 from ..export.particle_surface import SMOOTHING_STEPS
 from ..frames import image_io, render_config
 from ..frames.appearance import Appearance
 from ..frames.export_model import file_render_model
 
+POINT_FORMAT = "vtp"
 log = logging.getLogger("vgmpi")
-
 GAUSSIAN_FORMATS = [suffix.removeprefix(".") for suffix in registry.WRITTEN]
 WITHOUT_MODEL = (".splat", registry.GLTF)  # formats that do not say how opacities are meant
 Y_UP = ("glb", "obj")  # formats that programs read with y up
-
 # rotations of the domain's z axis to the up axis of the file
 UP = {
     "z": np.eye(3),
     "y": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
     "-y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
 }
+
+
+def export_points(
+    run: RunReader, numbers: list[int], args: argparse.Namespace, folder: Path
+) -> None:
+    """Write the particles of each frame with all of its fields, and points.pvd after each frame.
+
+    Args:
+        run: Files of the run.
+        numbers: Frames.
+        args: Arguments of the command line.
+        folder: Folder of the files.
+
+    Raises:
+        RunError: If a flag is not for points, or a frame is not readable.
+    """
+    for flag, present in (("--up", args.up is not None), ("--no-scenery", args.no_scenery)):
+        if present:
+            raise RunError(f"{flag}: is not for --format {POINT_FORMAT} without --surface")
+    folder.mkdir(parents=True, exist_ok=True)
+    files: dict[str, float] = {}
+    for index in tqdm(numbers, unit="frame", disable=True if args.quiet else None):
+        frame = run.frame(index)
+        path = folder / f"frame_{index:05d}.{POINT_FORMAT}"
+        fields = {name: a for name, a in frame.items() if name not in ("positions", "poses")}
+        mesh_files.write_vtp(path, frame["positions"], None, fields)
+        files[path.name] = float(run.times[index])
+        mesh_files.write_pvd(folder / "points.pvd", files)
+    log.info("%d files of %d particles", len(numbers), len(frame["positions"]))
 
 
 def cloud(look: Appearance, frame: dict[str, np.ndarray], scenery: bool = True) -> GaussianCloud:
@@ -164,7 +193,7 @@ def main(argv: list[str] | None = None) -> int:
     args = parser().parse_args(argv)
     level = logging.WARNING if args.quiet else logging.INFO
     logging.basicConfig(level=level, format="%(message)s", stream=sys.stderr)
-    kind = "points" if args.format == point_export.FORMAT else "gaussians"
+    kind = "points" if args.format == POINT_FORMAT else "gaussians"
     folder = Path(args.output or Path(args.out) / ("surface" if args.surface else kind))
     try:
         if args.format in export_moving.KINDS:
@@ -188,7 +217,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _export(args: argparse.Namespace, folder: Path) -> None:
     """Write the files."""
-    formats = [*GAUSSIAN_FORMATS, *export_moving.KINDS, point_export.FORMAT]
+    formats = [*GAUSSIAN_FORMATS, *export_moving.KINDS, POINT_FORMAT]
     surface_export.check_arguments(args, formats)
     export_moving.check_flags(args)
     if args.spz_version is not None and args.format != "spz":
@@ -198,8 +227,8 @@ def _export(args: argparse.Namespace, folder: Path) -> None:
     if args.format in export_moving.KINDS:
         export_moving.export_moving(args, numbers, run, folder)
         return
-    if args.format == point_export.FORMAT and args.surface is None:
-        point_export.export_points(run, numbers, args, folder)
+    if args.format == POINT_FORMAT and args.surface is None:
+        export_points(run, numbers, args, folder)
         return
     look = Appearance(run, render_config.load(args.settings).look)
     up = args.up or ("y" if args.format in Y_UP else "z")

@@ -6,12 +6,12 @@ between blocks where it is even (tile_light.py).
 
 import numpy as np
 
+from vgmpi.postprocess.studio.tile_light import liquid_depth
 from vgmpi.runtime.compile_cache import njit_cached
 
 from .compile_options import KERNEL, LEAF, RAY
 from .cone_occlusion import EXTINCTION, cone
 from .liquid_radiance import direction
-from .optical_depth import liquid_depth
 from .ray_marching import rho_at
 from .studio_ground import NONE, SHADOW, backdrop, ground_color, ground_light
 from .tile_light import HAZE, NUMBERS, TILE, light_at, light_tile, painted_normal

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from vgmpi.gaussians.camera import Camera
+from vgmpi.postprocess.studio.studio_settings import optical_values
 
 from ..frames.appearance import Appearance
 from ..frames.frame_gaussians import GaussianBatch
-from ..frames.particle_optics import optical_values
 from ..frames.render_config import Settings
 from ..raster.rasterize import ProjectableGaussians, join_gaussians, supersampled_camera
 from ..raster.surface_canvas import draw_surfaces
@@ -37,7 +37,7 @@ from . import (
 from .depth_of_field import defocus
 from .ray_scene import CHANNELS, Medium, Stage, no_view, view_of
 from .studio_bodies import Bodies, domain_of, tearing
-from .studio_lights import ground_of, rig_of
+from .studio_settings import ground_of, rig_of
 from .value_grid import Grid
 
 CLEAR_DISTANCE = 0.8  # [m] absorption length of liquids at an extent of 1.2 m

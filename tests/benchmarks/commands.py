@@ -108,9 +108,7 @@ def _overhead(_, args):
     for ranks in args.ranks:
         with tempfile.TemporaryDirectory(prefix="vgmpi-bench-") as folder:
             lay_out(case, ["single"], Path(folder))
-            worker = interleaved_rounds.Worker(
-                Contestant("inside", ranks=ranks), case, Path(folder)
-            )
+            worker = interleaved_rounds.Worker(Contestant("own", ranks=ranks), case, Path(folder))
             try:
                 result = worker.ask("empty", steps=args.steps)
             finally:
@@ -179,11 +177,6 @@ def _step_model(study, args) -> list:
     return []
 
 
-def _photographs(study, args) -> bool:
-    rows = study.run(args.names, args.folder, args.out, args.cells, args.end)
-    return all(study.is_right(row) for row in rows)
-
-
 def _live(study, args) -> str:
     delays = study.measure_delays(args.gaussians, 10, print_progress)
     slowdown = study.measure_slowdown(
@@ -206,7 +199,6 @@ PRECISION = flag("--precision", "single", choices=("single", "double"))
 COST_FLAGS = (
     number("--particles", 4e5, "default 4e5"), flag("--rounds", 5, "default 5"), PRECISION
 )  # fmt: skip
-ANY_TREE = needed("tree", "another checkout, in turns", nargs="?")
 TREE = needed("tree", "another checkout")
 PATIENCE = flag("--patience", 120.0, "longest wait, default 120 s", metavar="S")
 FILES = needed("files", "of pytest --junitxml", nargs="+", metavar="FILE")
@@ -235,7 +227,7 @@ COMMANDS: dict[str, Command] = {
     "against": command(
         "beside another checkout", "compare_checkouts",
         lambda study, a: study.lines(a.tree, a.laws, a.particles, a.rounds, print_progress),
-        needed("tree", "another checkout, or stripped: without features, or uncontracted"), LAWS,
+        needed("tree", "another checkout, or uncontracted"), LAWS,
         some("--particles", [1e5, 4e5, 1e6], None, float, metavar="N"),
         flag("--rounds", 9, "default 9"),
     ),
@@ -254,14 +246,6 @@ COMMANDS: dict[str, Command] = {
         flag("--free", 1.8, "cores to wait for before a start, default 1.8"), PATIENCE,
         switch("--start", "what a start on ranks costs instead"),
     ),
-    "first-use": command(
-        "install, first run and first picture, by the clock", "first_use",
-        lambda study, a: study.compare_first_use(
-            a.tree, a.install, a.rounds, a.patience, print_progress
-        ),
-        ANY_TREE, switch("--install", "also into new environments, from the network"),
-        flag("--rounds", 3, "default 3"), PATIENCE,
-    ),
     "pictures": command(
         "pictures of a run beside another checkout", "compare_pictures",
         lambda study, a: study.compare(
@@ -278,15 +262,6 @@ COMMANDS: dict[str, Command] = {
         TREE, some("--scenes", scene_checkouts.SCENES, "folders below runs/", metavar="NAME"),
         flag("--steps", 400, "of each part, default 400"), number("--ranks", 2, "default 2"),
         flag("--rounds", 5, "default 5"),
-    ),
-    # --- photographs
-    "photographs": command(
-        "photographs to the end of their runs", "photographs", _photographs,
-        some("names", None, "pictures, default: the twelve", nargs="*"),
-        flag("--folder", None, "with pictures, before those of installed packages", Path),
-        flag("--cells", 24, "along the longest edge, default 24"),
-        flag("--end", "0.3 s", "of the runs, default 0.3 s"),
-        needed("-o", "folder of the scenes and runs", dest="out", required=True),
     ),
     # --- steps, sorts, registers, many ranks on paper
     "balance": command(

@@ -1,5 +1,5 @@
-"""This program beside another checkout of it, such as the last release, or beside a copy in which
-features do not exist (feature_free_copy.py): processor time of a step on one core, in turns.
+"""This program beside another checkout of it, such as the last release: processor time of a step on
+one core, in turns.
 """
 
 import os
@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.benchmarks.feature_free_copy import same_bits, stripped
 from vgmpi.tools.bench.benchmark_case import BenchError, Case, lay_out
 from vgmpi.tools.bench.interleaved_rounds import Contestant, Worker
 
@@ -22,7 +21,6 @@ from pathlib import Path
 from vgmpi.tools.bench.benchmark_case import Case, lay_out
 lay_out(Case(sys.argv[1], int(sys.argv[2])), ["single"], Path(sys.argv[3]))
 """
-STRIPPED = Path("stripped")
 UNCONTRACTED = Path("uncontracted")
 ROUND = 4.0  # [s] of both programs' turns
 
@@ -30,19 +28,14 @@ ROUND = 4.0  # [s] of both programs' turns
 def lines(
     tree: Path, laws: list[str], particles: list[float], rounds: int, say: Callable
 ) -> Iterator[str]:
-    """What is found, as text; tree: a folder, or a word: for a stripped copy, or for this program
-    without contraction. Raises BenchError where `tree` cannot."""
-    with tempfile.TemporaryDirectory(prefix="vgmpi-bench-") as folder:
-        if tree == STRIPPED:
-            tree = stripped(Path(folder))
-            same = same_bits(tree, Path(folder))
-            yield f"a fluid beside a solid: {'the same bits' if same else 'OTHER BITS'}"
-        more: tuple[tuple[str, str], ...] = ()
-        if tree == UNCONTRACTED:
-            tree, more = Path(__file__).parents[2], (("VGMPI_CONTRACTION", "off"),)
-        for law in laws:
-            for n in map(int, particles):
-                yield line(law, n, measure(law, n, tree.resolve(), rounds, say, more))
+    """What is found, as text; tree: a folder, or UNCONTRACTED: this program without contraction.
+    Raises BenchError where `tree` cannot."""
+    more: tuple[tuple[str, str], ...] = ()
+    if tree == UNCONTRACTED:
+        tree, more = Path(__file__).parents[2], (("VGMPI_CONTRACTION", "off"),)
+    for law in laws:
+        for n in map(int, particles):
+            yield line(law, n, measure(law, n, tree.resolve(), rounds, say, more))
 
 
 def measure(law: str, particles: int, tree: Path, rounds: int, say, more=()) -> np.ndarray:

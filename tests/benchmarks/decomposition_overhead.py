@@ -37,9 +37,9 @@ def ranks(law: str, particles: int, rounds: int, say) -> dict:
             folder.mkdir()
             lay_out(case, ["single"], folder)
         say(f"{law}: {particles:,} particles")
-        single = Worker(Contestant("inside"), full, folders[0])
-        double = Worker(Contestant("inside", ranks=2), full, folders[0])
-        pair = [Worker(Contestant("inside"), half, folders[1]) for _ in range(2)]
+        single = Worker(Contestant("own"), full, folders[0])
+        double = Worker(Contestant("own", ranks=2), full, folders[0])
+        pair = [Worker(Contestant("own"), half, folders[1]) for _ in range(2)]
         seconds = []
         try:
             with ThreadPoolExecutor(2) as pool:

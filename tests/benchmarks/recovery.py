@@ -19,11 +19,11 @@ from tests.support.fit_scenes import write_fit
 from tests.support.recovery_scenes import CASES, Case
 from vgmpi import api
 from vgmpi.postprocess.frames.image_io import to_bytes, write_png
+from vgmpi.tools.fit.__main__ import target_of
 from vgmpi.tools.fit.evaluations import Evaluations
 from vgmpi.tools.fit.fit_config import FitFile
 from vgmpi.tools.fit.run_pool import RunPool
-from vgmpi.tools.fit.run_renderer import Pictures
-from vgmpi.tools.fit.target_factory import target_of
+from vgmpi.tools.fit.target_base import Pictures
 from vgmpi.tools.fit.workflow import interval, run_fit
 
 NOISE = 0.05  # of a column's range, of white

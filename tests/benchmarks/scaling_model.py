@@ -22,8 +22,8 @@ from vgmpi.parallel.block_ownership import BlockDirectory
 from vgmpi.parallel.communicator import PersistentExchange, SerialCommunicator
 from vgmpi.parallel.load_balance import BLOCK_COST, owners, partition
 from vgmpi.tools.bench.benchmark_case import Case, lay_out
-from vgmpi.tools.bench.instrumented_contestant import WORK
 from vgmpi.tools.bench.interleaved_rounds import Contestant, Worker
+from vgmpi.tools.bench.vgmpi_contestant import WORK
 
 PARTICLES_PER_FULL_BLOCK = 8 * BLOCK_EDGE**3  # particles of a full block
 SAMPLE = 8  # ranks of which tables are laid out
@@ -163,12 +163,12 @@ def measure(real_ranks: list[int], particles: int, say) -> tuple[dict[int, list]
         case = Case("fluid", n * particles)
         with tempfile.TemporaryDirectory(prefix="vgmpi-bench-") as folder:
             lay_out(case, ["single"], Path(folder))
-            workers = [Worker(Contestant("inside", ranks=n), case, Path(folder))]
+            workers = [Worker(Contestant("own", ranks=n), case, Path(folder))]
             try:
                 rows[n] = workers[0].ask("work", cycles=CYCLES)["rows"]
                 if n == 1:
                     empty = workers[0].ask("empty", steps=200)["us"]
-                    workers.append(Worker(Contestant("inside"), case, Path(folder)))
+                    workers.append(Worker(Contestant("own"), case, Path(folder)))
                     with ThreadPoolExecutor(2) as pool:
                         both = pool.map(lambda w: w.ask("work", cycles=CYCLES)["rows"], workers)
                         busy = [row for rank_rows in both for row in rank_rows]

@@ -1,5 +1,7 @@
-"""Colliders that move do not touch the promise: the same bits in every file for any number of ranks
-and threads, and after a restart in the middle of a motion."""
+"""Colliders that move, and what they and the walls give, have the same bits in every file for any
+number of ranks and threads, and after a restart in the middle of a motion."""
+
+import csv
 
 import h5py
 import numpy as np
@@ -14,7 +16,9 @@ from tests.support.file_digests import (
 )
 from tests.support.simulated_runs import run_here
 from tests.support.small_scenes import MIXED
+from vgmpi.scene.probes import WALL_NAMES
 
+COLLIDERS = ("post", "paddle", "roller")
 SCENE = (
     MIXED.replace("PRECISION", "single")
     + """
@@ -35,6 +39,11 @@ collider = true
 shape = { cylinder = { endpoints = [[0.06, 0.02, 0.13], [0.06, 0.22, 0.13]], radius = 0.03 } }
 motion = { angular_velocity = "300 rpm", axis = "y", velocity = [0.2, 0, 0], end_time = "40 ms" }
 """
+    + "".join(
+        f'[[probe]]\nname = "{name}"\nsampling_rate = "200 Hz"\n{key} = "{name}"\n'
+        for key, names in (("wall", ("all", *WALL_NAMES)), ("collider", COLLIDERS))
+        for name in names
+    )
 )
 
 
@@ -58,6 +67,23 @@ def test_they_move(one):
     assert np.arccos((np.trace(last[-2, :3, :3]) - 1) / 2) == pytest.approx(np.radians(25))
 
 
+def column(folder, name, key):
+    with open(folder / f"probe_{name}.csv") as f:
+        return np.array([float(row[key]) for row in csv.DictReader(f)])
+
+
+def test_forces_are_felt(one):
+    """In single precision all together are the balance to its digits."""
+    _, _, out = one
+    assert np.abs(column(out, "paddle", "cumulative_work")[-1]) > 1e-3
+    assert np.abs(column(out, "roller", "torque_y")[1:]).max() > 1e-3
+    for axis in "xyz":
+        key = f"force_{axis}"
+        together = sum(column(out, name, key)[1:] for name in (*WALL_NAMES, *COLLIDERS))
+        balance = column(out, "all", key)[1:]
+        assert np.abs(together - balance).max() < 1e-5 * np.abs(balance).max()
+
+
 @RANKS_AND_THREADS
 def test_ranks_and_threads(one, start, ranks, flags, tmp_path):
     scene, want, _ = one
@@ -65,9 +91,14 @@ def test_ranks_and_threads(one, start, ranks, flags, tmp_path):
 
 
 def test_stop_and_resume(one, tmp_path):
-    """Stopped on three ranks in the middle of both motions, then on with two."""
+    """Stopped on three ranks in the middle of both motions and between two rows of the probes, then
+    on with two: what was given since the last row is in the checkpoint."""
     scene, want, out = one
-    stop = int(poses(out, 3)[1]) // 2
+    stop = int(column(out, "paddle", "step")[-1]) // 2 + 1
     run_here(scene, tmp_path, 3, "--stop-after", f"{stop} steps", code=75)
     run_here(scene, tmp_path, 2, "--resume")
-    assert frame_digests(digests(tmp_path)) == frame_digests(want)
+    found = digests(tmp_path)
+    rows = [name for name in want if name.startswith("probe_")]
+    assert len(rows) == 10
+    assert [name for name in rows if found[name] != want[name]] == []
+    assert frame_digests(found) == frame_digests(want)

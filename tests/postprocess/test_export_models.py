@@ -8,7 +8,7 @@ from tests.support.captured_runs import PICTURE
 from vgmpi.gaussians.formats import registry
 from vgmpi.io.run_reader import RunReader
 from vgmpi.postprocess.commands import export
-from vgmpi.postprocess.export.run_motion import RunMotion
+from vgmpi.postprocess.export.export_moving import RunMotion
 from vgmpi.postprocess.frames.appearance import Appearance
 from vgmpi.postprocess.web import web_page
 

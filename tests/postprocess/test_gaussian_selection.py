@@ -6,7 +6,7 @@ import pytest
 from tests.support import drawn_runs
 from vgmpi.io.run_reader import RunReader
 from vgmpi.postprocess.frames.appearance import Appearance
-from vgmpi.postprocess.live.gaussian_selection import GaussianSelection
+from vgmpi.postprocess.live.followed_run import GaussianSelection
 
 
 @pytest.fixture(scope="module")

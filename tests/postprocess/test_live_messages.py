@@ -14,7 +14,7 @@ viser = pytest.importorskip("viser", reason='needs viser: pip install "vgmpi[liv
 import msgspec  # noqa: E402
 
 from vgmpi.postprocess.frames import render_config  # noqa: E402
-from vgmpi.postprocess.live import guarded_server, viewer_messages  # noqa: E402
+from vgmpi.postprocess.live import guarded_server  # noqa: E402
 from vgmpi.postprocess.live.followed_run import FollowedRun  # noqa: E402
 from vgmpi.postprocess.live.live_page import LivePage, PageOptions  # noqa: E402
 
@@ -142,7 +142,7 @@ def test_bytes_that_are_no_message_leave_the_viewer_connected(page, capfd):
 
 
 def test_a_reason_is_logged_once(caplog):
-    messages = viewer_messages.MessageFilter()
+    messages = guarded_server.MessageFilter()
     with caplog.at_level(logging.WARNING):
         assert not any(messages.passes(b"\x01") for _ in range(5))
         assert messages.passes(msgspec.msgpack.encode(CAMERA))

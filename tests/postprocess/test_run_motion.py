@@ -21,7 +21,7 @@ from vgmpi.gaussians.formats.motion_stream import (
 )
 from vgmpi.gaussians.formats.residual_coding import MAX_BIN, SEGMENT, CodedRows
 from vgmpi.gaussians.formats.validation import GaussianFileError
-from vgmpi.postprocess.export.run_motion import RunMotion
+from vgmpi.postprocess.export.export_moving import RunMotion
 from vgmpi.postprocess.frames.appearance import Appearance
 from vgmpi.preprocess.scene_builder import build_scene
 

@@ -8,7 +8,6 @@ from tests.support import drawn_runs, studio_scenes
 from vgmpi.io.run_reader import RunReader
 from vgmpi.postprocess.frames import render_config
 from vgmpi.postprocess.frames.frame_renderer import FrameRenderer
-from vgmpi.postprocess.frames.particle_optics import optical_values
 from vgmpi.postprocess.studio import (
     compositing,
     deferred_shading,
@@ -18,6 +17,7 @@ from vgmpi.postprocess.studio import (
     studio_ground,
     tone_mapping,
 )
+from vgmpi.postprocess.studio.studio_settings import optical_values
 
 PHOTOGRAPH = {"background": "photo.png", "width": 64, "height": 48}
 LIGHT = (0.6, 0.0, -1.0)

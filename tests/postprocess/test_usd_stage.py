@@ -12,7 +12,7 @@ from vgmpi.gaussians.cloud import GaussianCloud, rotation_matrices
 from vgmpi.io.run_reader import RunError, RunReader
 from vgmpi.postprocess.commands import export
 from vgmpi.postprocess.export import usd_stage
-from vgmpi.postprocess.export.run_motion import RunMotion
+from vgmpi.postprocess.export.export_moving import RunMotion
 from vgmpi.postprocess.frames import render_config
 from vgmpi.postprocess.frames.appearance import Appearance
 from vgmpi.postprocess.frames.camera_paths import CameraPath

@@ -13,8 +13,7 @@ from vgmpi.postprocess.frames import render_config
 from vgmpi.postprocess.frames.appearance import Appearance
 from vgmpi.postprocess.frames.frame_renderer import visible_extent
 from vgmpi.postprocess.live import guarded_server, viewer_scene
-from vgmpi.postprocess.live.followed_run import FollowedRun
-from vgmpi.postprocess.live.gaussian_selection import GaussianSelection
+from vgmpi.postprocess.live.followed_run import FollowedRun, GaussianSelection
 from vgmpi.postprocess.live.live_page import LivePage, PageOptions
 from vgmpi.postprocess.live.saved_camera import save_camera, view_of_camera
 

@@ -29,7 +29,7 @@ from vgmpi.gaussians.formats.residual_coding import SEGMENT, CodedRows
 from vgmpi.gaussians.formats.validation import GaussianFileError
 from vgmpi.io.run_reader import RunReader
 from vgmpi.postprocess.commands import export
-from vgmpi.postprocess.export.run_motion import RunMotion
+from vgmpi.postprocess.export.export_moving import RunMotion
 from vgmpi.postprocess.frames.appearance import Appearance
 from vgmpi.postprocess.raster import rasterize
 from vgmpi.postprocess.web import web_page

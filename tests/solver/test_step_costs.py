@@ -16,7 +16,7 @@ from tests.support.small_scenes import MIXED
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.runtime.compiled_kernels import compiled_marker
 from vgmpi.solver import compile_kernels
-from vgmpi.tools.bench import instrumented_contestant
+from vgmpi.tools.bench import vgmpi_contestant
 from vgmpi.tools.bench.benchmark_case import Case, lay_out
 
 
@@ -91,7 +91,7 @@ def test_nothing_a_step_allocates_stays(mixed):
 def test_an_empty_step_moves_nothing(tmp_path):
     """What `python -m tests.benchmarks overhead` times: kernels are called, and do nothing."""
     lay_out(Case("fluid", 64), ["single"], tmp_path)
-    contestant = instrumented_contestant.Contestant(
+    contestant = vgmpi_contestant.Contestant(
         {"folder": str(tmp_path / "single"), "ranks": 1, "threads": 1}
     )
     found = contestant.empty(100)  # Python keeps a store of freed tuples, which fills first
@@ -146,7 +146,7 @@ def test_ranks_compile_shares_of_a_step(tmp_path, monkeypatch):
     """Without its kernels a step tells all that it calls, and no rank begins what another has."""
     lay_out(Case("fluid", 64), ["single"], tmp_path)
     flags = {"folder": str(tmp_path / "single"), "ranks": 1, "threads": 1}
-    plan = instrumented_contestant.Contestant(flags).start[1]
+    plan = vgmpi_contestant.Contestant(flags).start[1]
     calls, begun = [], []
     compile_kernels._run_all(plan, calls)
     assert {"particles_to_grid", "update", "grid_to_particles"} <= {

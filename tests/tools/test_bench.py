@@ -11,8 +11,8 @@ import pytest
 
 from tests.benchmarks import compare_checkouts
 from vgmpi.materials import registry
+from vgmpi.tools.bench import __main__, interleaved_rounds, roofline
 from vgmpi.tools.bench import __main__ as command
-from vgmpi.tools.bench import interleaved_rounds, result_tables, roofline
 from vgmpi.tools.bench.benchmark_case import BenchError, Case, WorkerError, lay_out
 from vgmpi.tools.bench.interleaved_rounds import Contestant, Worker, run_interleaved
 
@@ -197,8 +197,8 @@ def test_a_program_that_fails_is_no_error_of_the_words(small, tmp_path, monkeypa
     rows = run_interleaved(case, [PLAIN], 1, 0.01, folder, lambda line: None)
     assert rows[0]["note"].startswith("ended early")
     group = {"law": "fluid", "particles": case.particles, "rows": rows}
-    assert result_tables.failures({"groups": [group]}) == [
-        f"fluid, {result_tables._label(rows[0])}: {rows[0]['note']}"
+    assert __main__.failures({"groups": [group]}) == [
+        f"fluid, {__main__._label(rows[0])}: {rows[0]['note']}"
     ]
 
     def fail(args):
@@ -266,31 +266,29 @@ def results(scale=1.0):
 
 def test_speeds_are_medians_of_neighbouring_rounds():
     group = results()["groups"][0]
-    assert result_tables.speed(group, group["rows"][0]) == 1
+    assert __main__.speed(group, group["rows"][0]) == 1
     # of wall time: 2/2, 4/8, 2/.5
-    assert result_tables.speed(group, group["rows"][1]) == 1
+    assert __main__.speed(group, group["rows"][1]) == 1
     # of processor time: 1/1, 2/6, 1/4; the ratio of the medians is 1/4
     group["rows"][2] = row("plain", [1.0, 6.0, 4.0])
-    assert result_tables.speed(group, group["rows"][2]) == pytest.approx(1 / 3)
-    assert result_tables.speed(group, group["rows"][3]) is None
+    assert __main__.speed(group, group["rows"][2]) == pytest.approx(1 / 3)
+    assert __main__.speed(group, group["rows"][3]) is None
 
 
 def test_the_table_says_what_is_missing_and_what_is_wrong():
     found = results()
     found["groups"][0]["rows"][2]["wrong"] = "computes something else"
-    said = result_tables.text(found)
+    said = __main__.text(found)
     assert "Warp single 1 core" in said and "not installed" in said
     assert "computes something else" in said and "kept the cores busy (2.00" in said
-    assert result_tables.failures(found) == [
-        "fluid, numba loops single 1 core: computes something else"
-    ]
+    assert __main__.failures(found) == ["fluid, numba loops single 1 core: computes something else"]
 
 
 def test_results_keep_and_compare(tmp_path, capsys):
     before, after = tmp_path / "a.json", tmp_path / "b.json"
     before.write_text(json.dumps(results()))
     after.write_text(json.dumps(results(scale=0.5)))
-    assert result_tables.text(json.loads(before.read_text())) == result_tables.text(results())
+    assert __main__.text(json.loads(before.read_text())) == __main__.text(results())
     for words in (["compare", str(before), str(after)], ["--compare", str(before), str(after)]):
         assert command.main(words) == 0
         said = capsys.readouterr().out
@@ -304,7 +302,7 @@ def test_other_machines_are_said_and_the_pace_is_divided_out():
     b["machine"] = {**b["machine"], "name": "Slide rule"}
     for turn in b["groups"][0]["rows"][2]["rounds"]:
         turn["seconds"] *= 2
-    said = result_tables.compare(a, b)
+    said = __main__.compare(a, b)
     assert "careful" in said and "Slide rule" in said
     line = next(line for line in said.splitlines() if "vgmpi single 1 core" in line)
     assert line.split()[-1] == "0.500"

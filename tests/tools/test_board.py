@@ -25,8 +25,7 @@ from vgmpi.tools.bench.board.board_cases import (
     beam_sag,
     vortex_velocity,
 )
-from vgmpi.tools.bench.board.board_plot import draw_board
-from vgmpi.tools.bench.board.board_settings import RUNS
+from vgmpi.tools.bench.board.board_command import RUNS, draw_board
 from vgmpi.tools.bench.board.jet_and_block import BlockMeasure, JetMeasure, jet_velocity
 from vgmpi.tools.bench.board.vgmpi_board_solver import Solver
 

@@ -16,7 +16,7 @@ from tests.support import launch
 from tests.support.fit_scenes import BALL, FIT, bits, command, go, reference, rows, write_fit
 from vgmpi.scene.loader import load
 from vgmpi.tools.fit import __main__ as fit
-from vgmpi.tools.fit import optimizers, parameter_space, uncertainty
+from vgmpi.tools.fit import optimizers, parameter_space, workflow
 from vgmpi.tools.fit.parameter_space import ParameterAxis, value_at
 from vgmpi.tools.fit.run_pool import RECORD, RunPool
 
@@ -202,11 +202,11 @@ def test_cells_have_part_in_the_interval(folder, grid, count):
     slope = np.array([[1.0], [-2.0], [0.5]])
     trials = InCells(load(write_fit(folder, BALL, FIT)[0]), slope[:, 0])
     best = SimpleNamespace(u=(0.5,), cells=12)
-    shift, beside = uncertainty.discretization_shift(trials, best, slope, grid)
+    shift, beside = workflow.discretization_shift(trials, best, slope, grid)
     assert beside == count and trials.calls == [str(count)]
     assert shift == pytest.approx([3 * 0.01])
     assert (
-        uncertainty.discretization_shift(trials, best, slope, "none")[1] is None
+        workflow.discretization_shift(trials, best, slope, "none")[1] is None
         and len(trials.calls) == 1
     )
 
@@ -222,9 +222,9 @@ def test_numbers_that_err_together_count_less(folder):
     for together in (1.0, 4.0):
         trials.target.correlated_counts = [together]
         noise.append(
-            uncertainty.estimate_uncertainty(
-                trials, best, np.ones((400, 1)), "none"
-            ).noise_halfwidth[0]
+            workflow.estimate_uncertainty(trials, best, np.ones((400, 1)), "none").noise_halfwidth[
+                0
+            ]
         )
     assert noise[1] == pytest.approx(2 * noise[0], rel=0.03)
 

@@ -16,11 +16,11 @@ from vgmpi.postprocess.commands import render
 from vgmpi.postprocess.frames.image_io import to_bytes, write_png
 from vgmpi.runtime import process_limits
 from vgmpi.scene.loader import load
+from vgmpi.tools.fit import __main__, video_target
 from vgmpi.tools.fit import __main__ as fit
-from vgmpi.tools.fit import fit_report, video_target
+from vgmpi.tools.fit.__main__ import target_of
 from vgmpi.tools.fit.fit_config import FitFile
-from vgmpi.tools.fit.run_renderer import Pictures
-from vgmpi.tools.fit.target_factory import target_of
+from vgmpi.tools.fit.target_base import Pictures
 from vgmpi.tools.fit.video_reader import pictures_in, scaled
 
 KEY = "material.rubber.youngs_modulus"
@@ -88,7 +88,7 @@ def test_target_and_fit_are_shown_beside_each_other(folder, capsys):
 def test_the_target_is_to_the_left(folder):
     reference(folder, BALL, {KEY: 2e5}, "stiff")
     target = made_target(folder, 'video = "pictures"')
-    fit_report.write_comparison(target, folder / "stiff", folder / "two.mp4")
+    __main__.write_comparison(target, folder / "stiff", folder / "two.mp4")
     left, right = halves(folder / "two.mp4")
     asked = np.stack(list(pictures_in(folder / "pictures"))).astype(int)
     other = to_bytes(Pictures(folder / "render.toml").render_run(folder / "stiff", list(range(7))))

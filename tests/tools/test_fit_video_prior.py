@@ -10,11 +10,11 @@ import pytest
 from tests.support import sds_fits
 from tests.support.fit_scenes import reference, write_fit
 from vgmpi.scene.loader import load
-from vgmpi.tools.fit import fit_report
+from vgmpi.tools.fit import __main__
 from vgmpi.tools.fit.evaluations import Evaluations
 from vgmpi.tools.fit.fit_config import FitFile, FitFileError
 from vgmpi.tools.fit.run_pool import RunPool
-from vgmpi.tools.fit.run_renderer import Pictures
+from vgmpi.tools.fit.target_base import Pictures
 from vgmpi.tools.fit.video_prior.denoising_target import DenoisingTarget
 from vgmpi.tools.fit.workflow import run_fit
 
@@ -112,7 +112,7 @@ def test_descent_finds_it(known, more, near):
     asked = {t.number for t in trials.all.values() if not np.isnan(t.loss)}
     each = 2 * file.settings.sds.noise_samples  # both halves, of each run but those beside another
     assert trials.target.kind.calls == each * len(asked) < each * len(trials.all)
-    report = fit_report.format_report(file, found, trials)
+    report = __main__.format_report(file, found, trials)
     assert f"| {KEY} | {found.best.values[0]:.6g} | not known |" in report
     assert "How sure this is, is not known" in report and "## The model's gradient" in report
 

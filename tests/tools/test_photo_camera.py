@@ -11,8 +11,7 @@ from PIL import Image
 from tests.support import drawn_photograph, drawn_room
 from vgmpi.tools.photo import camera_guess, example_photographs, layout_config, photograph
 from vgmpi.tools.photo.__main__ import main
-from vgmpi.tools.photo.line_segments import Segments, detect_segments
-from vgmpi.tools.photo.manhattan_frame import _sines, fit_frame
+from vgmpi.tools.photo.manhattan_frame import Segments, _sines, detect_segments, fit_frame
 from vgmpi.tools.photo.photo_camera import View
 
 pytest.importorskip("cv2", reason="no OpenCV: pip install 'vgmpi[images]'")

@@ -8,7 +8,7 @@ import pytest
 from tests.support import drawn_photograph
 from vgmpi.postprocess.frames.render_config import load
 from vgmpi.postprocess.studio import light_rig
-from vgmpi.tools.photo import light_from_shadows, scene_light
+from vgmpi.tools.photo import scene_light
 from vgmpi.tools.photo.__main__ import main
 from vgmpi.tools.photo.photo_camera import View
 
@@ -54,7 +54,7 @@ def hits_ball(start, ray):
 @pytest.mark.parametrize("width", [0.02, 0.1, 0.3])
 def test_direction_width_and_darkness_are_the_true_ones(width):
     rgb, lit, mask, points = ball_photograph(width)
-    light = light_from_shadows.fit_light(points, VIEW.camera(EYE, 0.01), rgb, lit, [mask])
+    light = scene_light.fit_light(points, VIEW.camera(EYE, 0.01), rgb, lit, [mask])
     print(light, f"{degrees_between(light.direction, TRAVEL):.1f} degrees")
     assert degrees_between(light.direction, TRAVEL) < 4
     assert 0.5 * width <= light.width <= 2 * width + 0.05
@@ -64,13 +64,13 @@ def test_direction_width_and_darkness_are_the_true_ones(width):
 def test_without_shadows_there_is_no_light():
     _, lit, mask, points = ball_photograph(0.02)
     camera = VIEW.camera(EYE, 0.01)
-    assert light_from_shadows.fit_light(points, camera, lit, lit, [mask]) is None
+    assert scene_light.fit_light(points, camera, lit, lit, [mask]) is None
     noise = np.clip(lit + RANDOM.normal(0, 60, lit.shape), 0, 255).astype(np.uint8)
-    assert light_from_shadows.fit_light(points, camera, noise, lit, [mask]) is None
+    assert scene_light.fit_light(points, camera, noise, lit, [mask]) is None
 
 
 def test_the_studio_darkens_the_floor_as_the_shadows():
-    light = light_from_shadows.ShadowLight((0.48, 0.0, -0.877), 0.05, 0.7, 1.0)
+    light = scene_light.ShadowLight((0.48, 0.0, -0.877), 0.05, 0.7, 1.0)
     keys = scene_light.render_keys(light)
     rig = light_rig.rig(**keys)
     key, sky = rig.key.mean() * rig.toward[2], 0.5 * (rig.horizon + rig.zenith).mean()

@@ -5,8 +5,8 @@ import pytest
 from scipy import ndimage
 
 from tests.support import drawn_photograph
-from vgmpi.tools.photo.cast_shadows import cast_shadows
 from vgmpi.tools.photo.photo_camera import View
+from vgmpi.tools.photo.scene_light import cast_shadows
 
 drawing = drawn_photograph.drawing
 VIEW, EYE = View(360, 240, 40.0, 12.0), 0.26

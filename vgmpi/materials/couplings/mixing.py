@@ -38,3 +38,16 @@ class Mixing(StrictModel):
         if a.family != "fluid" or b.family != "fluid":
             return "mixing is between two fluids"
         return ""
+
+
+@coupling
+class MixingPaper(Mixing):
+    """Mixing by the paper's printed equations: for comparison only.
+
+    The drift has the other sign, which un-mixes, and both fluids move with the mean velocity before
+    their share of the force acts: so their slip is proportional to the time step.
+    """
+
+    kind: Literal["mixing-versagauss"]  # type: ignore[assignment]
+
+    printed: ClassVar = True

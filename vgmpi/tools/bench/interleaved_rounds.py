@@ -33,12 +33,10 @@ WORKER_NUMBERS = itertools.count()
 RIVAL_LAWS = ("fluid", "elastic")  # written in the rivals, too
 NAMES = {
     "own": "vgmpi",
-    "inside": "vgmpi",
     "plain": "numba loops",
     "taichi_rival": "Taichi",
     "warp_rival": "Warp",
 }
-INSIDE = "vgmpi.tools.bench.instrumented_contestant"  # what a study of makers asks for
 WORKER = "vgmpi.tools.bench.contestant_worker"  # module of a contestant's process
 AVX2 = {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "+avx2,+fma,+bmi,+bmi2"}
 # what two contestants may differ by after the check's steps: rounding of single precision, for the
@@ -69,8 +67,7 @@ class Contestant:
     @property
     def path(self) -> str:
         """The module that makes it, which other checkouts know better than this one."""
-        paths = CONTESTANTS | {"inside": INSIDE}
-        return "" if self.tree else paths[self.module]
+        return "" if self.tree else CONTESTANTS[self.module]
 
     @property
     def on(self) -> str:

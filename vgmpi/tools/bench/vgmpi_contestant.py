@@ -6,6 +6,7 @@ stages.
 
 import os
 import time
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
@@ -24,6 +25,7 @@ from vgmpi.solver.run import Options, begin, check
 
 from .benchmark_case import STEPS, BenchError, to_dense
 
+WORK = ("p2g", "halo", "grid", "g2p", "sort")  # stages that compute; the others wait
 LONGEST = 200  # steps of a cycle if nothing moves far enough to be sorted
 
 
@@ -43,7 +45,11 @@ class Stages:
 
 
 class Contestant:
-    """One rank's share. given: folder (scene.toml and gaussians.h5), ranks, threads."""
+    """One rank's share; the studies of tests/benchmarks use `empty` and `work`.
+
+    Args:
+        config: folder (scene.toml and gaussians.h5), ranks, threads.
+    """
 
     def __init__(self, config: dict):
         self.ranks = init_communicator() if config["ranks"] > 1 else SerialCommunicator()
@@ -159,3 +165,60 @@ class Contestant:
                 getattr(engine, name)(part)
                 seconds[name] = min(seconds[name], self.now() - began)
         return {**seconds, "blocks": len(chosen), "bytes": part.numbers.nbytes + part.tails.nbytes}
+
+    def empty(self, steps: int) -> dict:
+        """Return the time of a step without work for its kernels, and what it allocates.
+
+        The time [us] is the minimum of ten rounds; the bytes in Python are those that stay and the
+        peak.
+        """
+        self.restart()
+        engine = cast(Cpu, self.simulation.engine)  # or its child for a graphics card
+        instance = vars(engine)
+        instance["call_if_rows"] = lambda group, kernel, rows, *arguments: engine.run(
+            group, kernel, rows[:0], *arguments
+        )
+        try:
+            rounds = [self._step_seconds(steps) for _ in range(10)]
+            tracemalloc.start()
+            self._step_seconds(steps)
+            before = tracemalloc.get_traced_memory()[0]
+            tracemalloc.reset_peak()
+            self._step_seconds(steps)
+            after, peak = tracemalloc.get_traced_memory()
+            tracemalloc.stop()
+        finally:
+            del instance["call_if_rows"]
+        worst = self.ranks.max(np.array([min(rounds[1:]), after - before, peak - before]))
+        return {"us": 1e6 * worst[0], "stays": worst[1] / steps, "most": worst[2]}
+
+    def _step_seconds(self, steps: int) -> float:
+        """Return the wall time of a step [s]."""
+        self.ranks.barrier()
+        began = time.perf_counter()
+        for _ in range(steps):
+            self.step()
+        return (time.perf_counter() - began) / steps
+
+    def work(self, cycles: int) -> dict:
+        """Return a row per rank with the work of a step, the quickest of `cycles` sort cycles.
+
+        A row has seconds of processor time in WORK, particles, blocks, node blocks that others add
+        to, bytes sent, and neighbors.
+        """
+        self.restart()
+        self.cycle()
+        simulation, seconds = self.simulation, []
+        for _ in range(cycles):
+            clock = simulation.clock = Stages(time.thread_time)
+            before, steps = simulation.sent, self.cycle()
+            seconds.append([clock.spent.get(stage, 0.0) / steps for stage in WORK])
+            sent = (simulation.sent - before) / steps
+        simulation.clock = None
+        assert simulation.halo is not None
+        groups, tables = simulation.groups, simulation.tables
+        waits = int(np.repeat(tables.receives_remote, np.diff(tables.first)).sum())
+        quickest = min(seconds, key=sum)
+        row = [*quickest, sum(map(len, groups)), sum(len(g.start) for g in groups), waits, sent]
+        row.append(len(simulation.halo.sends))
+        return {"rows": self.ranks.all_rows(np.array([row], np.float64)).tolist()}

@@ -8,9 +8,9 @@ import numpy as np
 from scipy import ndimage
 
 from vgmpi.runtime import process_limits
+from vgmpi.tools.fit.target_base import MAX_DISPLAY_SIZE, Pictures
 
 from .fit_config import FitFile
-from .run_renderer import MAX_DISPLAY_SIZE, Pictures
 from .target_base import Target, held_out, nearest_frames
 from .video_reader import describe_pictures, pictures_in, scaled
 

@@ -5,9 +5,10 @@ import logging
 import numpy as np
 from scipy import ndimage
 
+from vgmpi.tools.photo.manhattan_frame import Segments, detect_segments
+
 from .body_sources import Guess
 from .layout_config import LoadedLayout
-from .line_segments import Segments, detect_segments
 from .manhattan_frame import Frame, fit_frame
 from .photo_camera import View
 from .photograph import Photograph

@@ -17,8 +17,7 @@ from vgmpi.runtime import process_limits, user_files
 from vgmpi.runtime.user_files import replace_file
 from vgmpi.tools.fit.fit_config import FitFile
 from vgmpi.tools.fit.run_pool import RECORD
-from vgmpi.tools.fit.run_renderer import Pictures
-from vgmpi.tools.fit.target_base import Target
+from vgmpi.tools.fit.target_base import Pictures, Target
 from vgmpi.tools.fit.video_reader import same_aspect
 from vgmpi.tools.tradeoff.study_runs import StudyError
 

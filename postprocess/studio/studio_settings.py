@@ -1,4 +1,4 @@
-"""Lights and ground of the studio from a render.toml."""
+"""Lights, ground and optical values of liquids in the studio, from a render.toml."""
 
 from pathlib import Path
 from typing import Any
@@ -7,10 +7,13 @@ import numpy as np
 
 from ..frames import image_io
 from ..frames.render_config import Settings
-from . import light_rig, studio_ground, tone_mapping
+from . import light_rig, liquid_radiance, studio_ground, tone_mapping
 from .studio_bodies import Domain
 
 DIRECTION = (0.55, 0.35, -1.0)  # travel direction of the key light
+SCATTERING = 1.5  # [1/m] scattering of a liquid with Gaussians of the usual opacity
+USUAL_OPACITY = 0.05  # [-] opacity scale of a clear liquid
+MAX_COEFFICIENT = 1e6  # [1/m] absorption and scattering
 
 
 def ground_of(
@@ -86,3 +89,43 @@ def rig_of(chosen: Settings, folder: Path) -> light_rig.Rig:
     return light_rig.rig(
         direction, **strength, highlight=highlight, surroundings=surroundings, picture=picture
     )
+
+
+def optical_values(
+    color: np.ndarray, is_captured: np.ndarray, opaqueness: np.ndarray, foam: np.ndarray,
+    absorption_length: float, chosen: Settings, rig: light_rig.Rig,
+) -> np.ndarray:  # fmt: skip
+    """Return the values (n, 9) of `Medium.tint` for each particle.
+
+    Colors of captures contain a light. Before the photograph from which they were made they are
+    shown as they are, as far as captures receive none of the studio's light. Elsewhere they are
+    divided by a liquid's usual light to this part.
+
+    Args:
+        color: Linear colors, shape (n, 3).
+        is_captured: Whether the colors are those of a capture, shape (n,).
+        opaqueness: Opacity scale of the Gaussians, shape (n,).
+        foam: Fraction of foam, shape (n,).
+        absorption_length: Length after which white light has a liquid's color [m].
+        chosen: Contents of render.toml.
+        rig: Lights.
+    """
+    absorbs = -np.log(np.clip(color, 0.03, 0.97)) / absorption_length
+    contained = np.where(is_captured, 1.0 - chosen.captures, 0.0)
+    if chosen.picture.on_photograph:
+        foam = foam * (1.0 - contained)  # it has the studio's light alone
+    else:
+        usual = liquid_radiance.DIRECT * rig.key + liquid_radiance.AMBIENT * rig.horizon
+        captured = chosen.captures + (1.0 - chosen.captures) / np.maximum(usual, 0.1)
+        color = color * np.where(is_captured[:, None], captured, 1.0)
+        contained = np.zeros(len(color))
+    scatters = _scattering(chosen.liquid.scattering_coefficient, opaqueness)
+    values = np.column_stack([absorbs, color, foam, scatters])
+    return np.column_stack([np.minimum(values, MAX_COEFFICIENT), contained])
+
+
+def _scattering(coefficient: float | None, opaqueness: np.ndarray) -> np.ndarray:
+    """Return scattering coefficients [1/m], which rise with the Gaussians' opacity."""
+    if coefficient is not None:
+        return np.full(len(opaqueness), float(coefficient))
+    return SCATTERING * (np.maximum(opaqueness, 0.02) / USUAL_OPACITY) ** 2
