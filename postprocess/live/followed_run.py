@@ -68,17 +68,13 @@ class GaussianSelection:
         if look.passive is not None:
             self._needed[look.passive.carriers[self.riding]] = True
 
-    def splats_at(self, index: int, eye: np.ndarray) -> tuple[dict, dict]:
-        """Return viser's arrays of frame `index`: of the scenery, and of all other Gaussians.
+    def splats_of(self, frame: dict[str, np.ndarray], eye: np.ndarray) -> tuple[dict, dict]:
+        """Return viser's arrays of a frame: of the scenery, and of all other Gaussians.
 
         Args:
-            index: Number of the frame.
+            frame: Result of Appearance.frame.
             eye: Point from which the colors are seen, shape (3,) [m].
         """
-        return self.splats_of(self.look.frame(index), eye)
-
-    def splats_of(self, frame: dict[str, np.ndarray], eye: np.ndarray) -> tuple[dict, dict]:
-        """Return viser's arrays of a frame (Appearance.frame), as `splats_at` does."""
         frame = self._needed_rows(frame)
         parts = self.look.parts(frame)
         still = np.flatnonzero(self.still)

@@ -165,7 +165,7 @@ SPREAD = 0.4156  # half width of these cones (tangent)
 
 
 @njit_cached(**RAY)
-def ambient(pyramid, rig, x, y, z, n0, n1, n2, floor, start, out):
+def ambient(pyramid, rig, x, y, z, n0, n1, n2, start, out):
     """Write the irradiance / pi of sky and ground on a surface to out.
 
     Args:
@@ -173,7 +173,6 @@ def ambient(pyramid, rig, x, y, z, n0, n1, n2, floor, start, out):
         rig: The lights.
         x, y, z: Point [m].
         n0, n1, n2: Unit normal.
-        floor: Height of the ground [m].
         start: Distance from which on objects occlude the sky [m].
         out: (out) Light, shape (3,).
 

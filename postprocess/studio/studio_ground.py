@@ -130,7 +130,7 @@ def _light(light, pyramid, rig, height, lower, texel):
         for k in range(light.shape[1]):
             x, y = lower[0] + (k + 0.5) * texel, lower[1] + (j + 0.5) * texel
             start = 1.2 * pyramid.cell
-            ambient(pyramid, rig, x, y, height, 0.0, 0.0, 1.0, height, start, color)
+            ambient(pyramid, rig, x, y, height, 0.0, 0.0, 1.0, start, color)
             key = cone(
                 pyramid, x, y, height, rig.toward[0], rig.toward[1], rig.toward[2], rig.width,
                 start, EXTINCTION,

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from vgmpi.gaussians.camera import Camera
+from vgmpi.postprocess.studio.compositing import defocus
 from vgmpi.postprocess.studio.studio_settings import optical_values
 
 from ..frames.appearance import Appearance
@@ -34,7 +35,6 @@ from . import (
     studio_ground,
     tone_mapping,
 )
-from .depth_of_field import defocus
 from .ray_scene import CHANNELS, Medium, Stage, no_view, view_of
 from .studio_bodies import Bodies, domain_of, tearing
 from .studio_settings import ground_of, rig_of
@@ -324,7 +324,7 @@ class Studio:
         drawn = image, alpha, keys
         if self.edges > 1:
             marked = np.zeros(shape, np.bool_)
-            if compositing.rough_pixels(stage, hits, normals, drop_depth, image, marked):
+            if compositing.rough_pixels(hits, normals, drop_depth, image, marked):
                 compositing.refine(
                     stage, transmit, *hit_data, marked, self.edges, pixel, flags, drawn
                 )

@@ -89,7 +89,7 @@ def light_at(stage, p, n, sand, liquid, key, sky, work):
     g, rig, pyramid = stage.pyramid.cell, stage.rig, stage.pyramid
     openness = ambient(
         pyramid, rig, p[0] + 2.6 * g * n[0], p[1] + 2.6 * g * n[1], p[2] + 2.6 * g * n[2],
-        n[0], n[1], n[2], stage.plane.height, 1.195 * g, sky,
+        n[0], n[1], n[2], 1.195 * g, sky,
     )  # fmt: skip
     a, b = g + 1.5 * g * (1.0 - 0.5 * sand), 0.75 * g * (1.0 - 0.5 * sand)
     visibility = cone(

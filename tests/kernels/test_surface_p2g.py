@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.parallel.test_scene_bits import FREE_BODIES
+from tests.support.feature_scenes import FREE_BODIES
 from tests.support.simulate import begin
 from vgmpi.kernels.kernel_arguments import Particles, Segments
 from vgmpi.kernels.particle_records import scratch

@@ -34,10 +34,6 @@ CASES = {
     "transpose": (tensor.transpose, lambda m, b: m.transpose(0, 2, 1)),
     "product": (lambda a: tensor.product(a, B), lambda m, b: m @ b),
     "product_transposed": (lambda a: tensor.product_transposed(a, B), lambda m, b: m @ b.T),
-    "transposed_product": (
-        lambda a: tensor.transposed_product(a, B),
-        lambda m, b: m.transpose(0, 2, 1) @ b,
-    ),
     "cofactors": (
         tensor.cofactors,
         lambda m, b: np.linalg.det(m)[:, None, None] * np.linalg.inv(m).transpose(0, 2, 1),

@@ -13,7 +13,7 @@ RUNS = Path(__file__).resolve().parents[2] / "runs"
 SHORT = ("--set", "time.end=0.04", "--set", "time.frames=2")
 # their walls are open, and end what is within a cell of them
 FINER = ("snowball", "snowman")
-# too thin for coarse cells: test_scene_bits.py and test_pinned_bits.py
+# too thin for coarse cells: test_scene_bits.py
 ELSEWHERE = {"driftwood", "water_wheel", "honey_dipper", "rubber_sheet"}
 
 

@@ -22,7 +22,7 @@ def test_the_same_gaussians_are_shown_at_every_frame(out):
     assert chosen.still.sum() + chosen.moving.sum() == 100
     rest = np.asarray(RunReader(out).gaussians.x0)[chosen.moving]
     for index in (0, 3):
-        still, moving = chosen.splats_at(index, np.array([3.0, 0, 1]))
+        still, moving = chosen.splats_of(chosen.look.frame(index), np.array([3.0, 0, 1]))
         assert len(still["centers"]) == chosen.still.sum()
         x = drawn_runs.frame_fields(drawn_runs.rest_state()[0], index, 4)["positions"][
             chosen.moving
@@ -57,6 +57,6 @@ def test_all_of_a_small_run_is_shown_as_it_is(out):
     look = Appearance(RunReader(out))
     chosen = GaussianSelection(look, 10**6)
     assert chosen.count == chosen.all and all((g == 1).all() for g in chosen.growth)
-    still, _ = chosen.splats_at(0, np.array([3.0, 0, 1]))
+    still, _ = chosen.splats_of(chosen.look.frame(0), np.array([3.0, 0, 1]))
     cov = chosen.cell**2 * still["covariances"][0]
     np.testing.assert_allclose(cov, np.diag([9e-4, 9e-4, 1e-6]), rtol=1e-5)

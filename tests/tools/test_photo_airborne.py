@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.support import drawn_photograph
-from vgmpi.tools.photo import height_from_depth, mask_to_mesh
+from vgmpi.tools.photo import mask_to_mesh, object_placement
 from vgmpi.tools.photo.__main__ import main
 from vgmpi.tools.photo.learned_models import Models
 from vgmpi.tools.photo.photo_camera import View
@@ -42,20 +42,20 @@ def nearness(factor=37.0, offset=-4.0):
 
 def test_the_floor_tells_factor_and_offset():
     near, masks = nearness()
-    fit = height_from_depth.fit_ground_depth(near, masks, VIEW)
+    fit = object_placement.fit_ground_depth(near, masks, VIEW)
     assert fit.factor == pytest.approx(37 / EYE, rel=0.02)
     assert fit.depth(37 / 0.6 - 4) == pytest.approx(0.6 / EYE, rel=0.02)
 
 
 def test_what_is_in_the_air_is_told_with_its_height():
     near, masks = nearness()
-    fit = height_from_depth.fit_ground_depth(near, masks, VIEW)
+    fit = object_placement.fit_ground_depth(near, masks, VIEW)
     found = []
     for mask in masks:
         points = mask_to_mesh.body(mask, VIEW, "inflate").points
         front = float(np.quantile(points @ VIEW.forward, 0.25))
         found.append(
-            height_from_depth.height_above_ground(near, mask, float(points[:, 2].min()), front, fit)
+            object_placement.height_above_ground(near, mask, float(points[:, 2].min()), front, fit)
         )
     assert found[0] is None
     height = found[1][0] * EYE
@@ -70,7 +70,7 @@ def test_what_tells_nothing(what):
         masks = [np.ones_like(masks[0])]
     else:
         near = -near
-    assert height_from_depth.fit_ground_depth(near, masks, VIEW) is None
+    assert object_placement.fit_ground_depth(near, masks, VIEW) is None
 
 
 def test_the_command_writes_it_as_a_guess(tmp_path, monkeypatch):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support import drawn_photograph
-from vgmpi.tools.photo import color_correction, gaussian_colors, mask_to_mesh, preview
+from vgmpi.tools.photo import gaussian_colors, mask_to_mesh, preview
 from vgmpi.tools.photo.__main__ import main
 from vgmpi.tools.photo.photo_camera import View
 
@@ -52,7 +52,7 @@ def matrices(cloud):
 
 def test_correction_sharpens_details(stripes):
     rgb, cloud = stripes
-    (corrected,) = color_correction.correct_colors([cloud], [DISC], CAMERA, rgb, BACKGROUND)
+    (corrected,) = gaussian_colors.correct_colors([cloud], [DISC], CAMERA, rgb, BACKGROUND)
     before, after = agreement(cloud, rgb), agreement(corrected, rgb)
     print(f"{before:.1f} dB, corrected {after:.1f} dB")
     assert after > before + 4
@@ -60,9 +60,9 @@ def test_correction_sharpens_details(stripes):
 
 def test_bodies_without_a_mask_and_hidden_ones_keep_their_colors(stripes):
     rgb, cloud = stripes
-    (same,) = color_correction.correct_colors([cloud], [None], CAMERA, rgb, BACKGROUND)
+    (same,) = gaussian_colors.correct_colors([cloud], [None], CAMERA, rgb, BACKGROUND)
     assert (same.sh == cloud.sh).all()
-    (corrected,) = color_correction.correct_colors([cloud], [DISC], CAMERA, rgb, BACKGROUND)
+    (corrected,) = gaussian_colors.correct_colors([cloud], [DISC], CAMERA, rgb, BACKGROUND)
     depth = cloud.x @ STEEP.forward
     changed = (corrected.sh != cloud.sh).any(axis=(1, 2))
     middle = np.linalg.norm(STEEP.pixels(cloud.x)[0] - (100, 80), axis=1) < 30

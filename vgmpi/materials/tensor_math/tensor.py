@@ -85,11 +85,6 @@ def product_transposed(a, b):
     return product(a, transpose(b))
 
 
-def transposed_product(a, b):
-    """Return A^T B."""
-    return product(transpose(a), b)
-
-
 def cofactors(a):
     """Return the matrix of cofactors, det A times A^-T (nine scalars)."""
     a0, a1, a2, a3, a4, a5, a6, a7, a8 = a

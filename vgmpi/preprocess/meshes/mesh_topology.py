@@ -287,7 +287,7 @@ def _orientation(
     wanted = np.where(has_inside, outward, majority)  # sheets face one way at least
     is_backward = has_inside & (majority != outward) & may_turn
     if is_backward.any():
-        is_cavity = _cavities(corner, shell, side, majority, is_backward, may_turn & has_inside)
+        is_cavity = _cavities(corner, shell, side, is_backward, may_turn & has_inside)
         wanted = np.where(is_cavity, -wanted, wanted)
     turned = may_turn[shell] & in_shell & (side != wanted[shell])
     return turned, is_mixed
@@ -299,14 +299,13 @@ def _means(values: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:
     return np.stack([np.bincount(group, values[:, k], count) / size for k in range(3)], axis=1)
 
 
-def _cavities(corner, shell, side, majority, is_backward, is_solid) -> np.ndarray:
+def _cavities(corner, shell, side, is_backward, is_solid) -> np.ndarray:
     """Return which shells (s,) are cavities: those that face the other way than what holds them.
 
     Args:
         corner: Corners of the triangles, shape (m, 3, 3).
         shell: Shell of every triangle, shape (m,).
         side: Side of every triangle in its shell, shape (m,).
-        majority: Side that most triangles of each shell show, shape (s,).
         is_backward: Whether a shell faces inward, shape (s,).
         is_solid: Whether a shell has an inside, shape (s,).
     """

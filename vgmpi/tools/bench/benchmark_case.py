@@ -161,7 +161,7 @@ def lay_out(case: Case, precisions: list[str], folder: Path) -> None:
         scene = _scene(case, precision, inside)
         if rows is None:
             rows, objects = _particles(case, scene)
-            _dense(case, rows, folder / "dense.npz")
+            _dense(rows, folder / "dense.npz")
         initial_state.write(
             inside / file_layout.GAUSSIANS,
             SerialCommunicator(),
@@ -203,7 +203,7 @@ def velocity(case: Case, x: np.ndarray) -> np.ndarray:
     return PER_STEP * DX / case.dt * ((1 - SWIRL) * DIRECTION + SWIRL * wave)
 
 
-def _dense(case: Case, rows: dict, path: Path) -> None:
+def _dense(rows: dict, path: Path) -> None:
     """Return the particles for a dense grid that begins MARGIN cells before the cube.
 
     They are in the order of its cells, which is best for the rivals: these do not sort.

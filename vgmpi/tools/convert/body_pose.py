@@ -19,7 +19,7 @@ from vgmpi.runtime.config.schema import format_input
 from vgmpi.scene.objects import MAX_NAME_BYTES
 
 from . import source_schema
-from .config_reader import Body, Config, ConvertError, KeyPath, Report, key_error
+from .config_reader import Body, Config, ConvertError, Report, key_error
 
 DEFAULT_CENTER = (1.0, 1.0, 1.0)
 CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)], dtype=float)
@@ -280,8 +280,3 @@ def _name(body: Body, file: Path | None, used_names: set[str]) -> str:
         name = f"{base} {count}"
     used_names.add(name)
     return name
-
-
-def pose_key(body: Body) -> KeyPath:
-    """Return the path of the key that gives the position of a body."""
-    return (*body.stand_path, "center_point" if body.stand_path else "scale")

@@ -80,7 +80,7 @@ def convert_conditions(
         elif isinstance(condition, source_schema.Impulse):
             _convert_impulse(config, poses, families, condition, key_path, active, report)
     for k, motions in drives.items():
-        motion = _motion_keys(config, k, motions, families[k] == "", report)
+        motion = _motion_keys(config, motions, families[k] == "", report)
         if motion and k in active.object_keys:
             report.dropped(
                 motions[0].key_path, motions[0].value, "the body is let go layer by layer"
@@ -199,7 +199,7 @@ def _convert_cuboid(
 
 
 def _motion_keys(
-    config: Config, k: int, motions: list[PrescribedMotion], is_static: bool, report: Report
+    config: Config, motions: list[PrescribedMotion], is_static: bool, report: Report
 ) -> Table:
     """Return the keys for the successive motions of one body; a static one rests between them."""
     motions = sorted(motions, key=lambda drive: drive.start)

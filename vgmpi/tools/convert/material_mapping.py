@@ -14,7 +14,6 @@ from .config_reader import Body, Config, Report, key_error
 Table = dict[str, Any]
 IN_TENSION = math.sqrt(1.5)  # [-] stress in tension per norm of its deviator
 RESIDUAL_YIELD_FRACTION = 0.01  # [-] residual yield stress of plasticine at full damage
-ELASTIC = ("E", "nu", "density")
 PLASTIC = ("yield_stress", "hardening", "xi", "softening", "plastic_viscosity")
 # Keys that each law reads besides `material`, `density` and keys outside the law.
 KEYS_READ = {

@@ -16,15 +16,7 @@ from vgmpi.preprocess.meshes.surface_mesh import MeshError
 from vgmpi.preprocess.meshes.triangle_mesh import Mesh
 from vgmpi.preprocess.placement import axis_rotation
 
-from . import (
-    external_generators,
-    gaussian_colors,
-    hollow_body,
-    mask_to_mesh,
-    pose_search,
-    preview,
-    visual_hull,
-)
+from . import external_generators, gaussian_colors, hollow_body, mask_to_mesh, preview, visual_hull
 from .background_inpainting import inpaint_background
 from .external_generators import GeneratorError
 from .grabcut import box_of
@@ -107,7 +99,9 @@ def _body(
     except GeneratorError as error:
         path = ("bodies", error.key) if error.key else ("object", k)
         raise scenery.loaded.wrong((path, str(error))) from None
-    aligned = pose_search.align_to_photo(cloud, scenery.photo.rgb, mask, scenery.view, up, obj.yaw)
+    aligned = external_generators.align_to_photo(
+        cloud, scenery.photo.rgb, mask, scenery.view, up, obj.yaw
+    )
     pose = aligned.pose
     agreement = f"outline agrees to {pose.iou:.2f}, colors differ by {pose.color_error:.2f}"
     log.info("'%s': up %s, yaw %g degrees: %s", obj.name, pose.up, pose.yaw, agreement)

@@ -19,7 +19,6 @@ from vgmpi.scene.loader import load
 from . import (
     body_sources,
     box_proposals,
-    height_from_depth,
     layout_config,
     layout_text,
     learned_models,
@@ -32,7 +31,7 @@ from . import (
 )
 from .body_sources import Guess, Scenery
 from .camera_guess import guess_view
-from .color_correction import correct_colors
+from .gaussian_colors import correct_colors
 from .grabcut import MaskError
 from .layout_config import LayoutError, LoadedLayout
 from .learned_models import Models
@@ -50,7 +49,6 @@ class PhotoScene(NamedTuple):
 
     names: list[str]
     psnr: list[float]  # [dB] PSNR of the first frame inside each mask
-    total_psnr: float  # [dB] PSNR of the whole first frame
 
 
 def photo_to_scene(
@@ -214,12 +212,12 @@ def _apply_depth(
     if learned.depth is None or all(obj.config.support is not None for obj in unplaced):
         return unplaced, eye
     nearness = learned.depth.nearness(photo.rgb)
-    fit = height_from_depth.fit_ground_depth(nearness, [mask.mask for mask in masks], view)
+    fit = object_placement.fit_ground_depth(nearness, [mask.mask for mask in masks], view)
     if fit is None:
         log.warning("depth: too little of the floor is seen: all objects stand on it")
         return unplaced, eye
     lifts = [
-        height_from_depth.height_above_ground(
+        object_placement.height_above_ground(
             nearness, mask.mask, obj.low[2], obj.front(view.forward), fit
         )
         if obj.config.support is None
@@ -324,7 +322,7 @@ def _agreement(
     for name, value in zip(names, psnr):
         log.info("'%s': the first frame agrees with the photograph to %.1f dB", name, value)
     log.info("picture: the first frame agrees with the photograph to %.1f dB", total)
-    return PhotoScene(names, psnr, total)
+    return PhotoScene(names, psnr)
 
 
 def _validate_scene(out: Path) -> None:
