@@ -18,18 +18,19 @@ from pathlib import Path
 from typing import Any
 
 from vgmpi.io.run_reader import RunError, RunReader
-from vgmpi.postprocess.frames.frame_processes import (
-    OtherRankError,
-    render_on_ranks,
-    run_on_all_ranks,
-)
 from vgmpi.runtime.command_line import ArgumentParser, exit_code_from_exceptions, usage_error_code
 from vgmpi.runtime.compiled_kernels import announce_compiling
 from vgmpi.runtime.process_limits import available_cores
 
 from ..frames import image_io, render_config
 from ..frames.finished_pictures import digest_of, find_finished, read_picture
-from ..frames.frame_processes import compiled_beside, render_in_processes
+from ..frames.frame_processes import (
+    OtherRankError,
+    compiled_beside,
+    render_in_processes,
+    render_on_ranks,
+    run_on_all_ranks,
+)
 from ..frames.frame_progress import FrameProgress
 from ..frames.frame_renderer import FrameRenderer, RenderedView
 from ..frames.prepared_run import PreparedRun, open_run

@@ -6,7 +6,6 @@ between blocks where it is even (tile_light.py).
 
 import numpy as np
 
-from vgmpi.postprocess.studio.tile_light import liquid_depth
 from vgmpi.runtime.compile_cache import njit_cached
 
 from .compile_options import KERNEL, LEAF, RAY
@@ -14,7 +13,7 @@ from .cone_occlusion import EXTINCTION, cone
 from .liquid_radiance import direction
 from .ray_marching import rho_at
 from .studio_ground import NONE, SHADOW, backdrop, ground_color, ground_light
-from .tile_light import HAZE, NUMBERS, TILE, light_at, light_tile, painted_normal
+from .tile_light import HAZE, NUMBERS, TILE, light_at, light_tile, liquid_depth, painted_normal
 
 WRAP = 0.12  # [-] wrap lighting of the key; more on sand and snow
 TURNED = 0.5  # [-] fraction of the key lost beside a liquid by total reflection

@@ -14,8 +14,6 @@ from typing import Any
 import numpy as np
 
 from vgmpi.gaussians.camera import Camera
-from vgmpi.postprocess.studio.compositing import defocus
-from vgmpi.postprocess.studio.studio_settings import optical_values
 
 from ..frames.appearance import Appearance
 from ..frames.frame_gaussians import GaussianBatch
@@ -35,9 +33,10 @@ from . import (
     studio_ground,
     tone_mapping,
 )
+from .compositing import defocus
 from .ray_scene import CHANNELS, Medium, Stage, no_view, view_of
 from .studio_bodies import Bodies, domain_of, tearing
-from .studio_settings import ground_of, rig_of
+from .studio_settings import ground_of, optical_values, rig_of
 from .value_grid import Grid
 
 CLEAR_DISTANCE = 0.8  # [m] absorption length of liquids at an extent of 1.2 m

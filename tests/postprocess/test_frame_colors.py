@@ -8,7 +8,6 @@ import pytest
 
 import vgmpi
 from tests.support import drawn_runs
-from tests.support.launch import mpirun
 from vgmpi.gaussians.spherical_harmonics import C0
 from vgmpi.io.run_reader import RunReader
 from vgmpi.postprocess.frames.appearance import Appearance
@@ -230,20 +229,6 @@ def test_processes_that_share_the_frames_draw_the_same(made):
         RunReader(made[0]), Settings(look=look("off"), **small), made[0]
     ).views_of(5, 1.0)[0]
     assert (alone[-1] != plain.picture).any()
-
-
-@pytest.mark.mpi
-def test_colors_do_not_depend_on_the_number_of_ranks(tmp_path):
-    (tmp_path / "scene.toml").write_text(SCENE.replace("end = 0.2", "end = 0.04"))
-    for n in (1, 3):
-        job = mpirun(n, "-m", "vgmpi", tmp_path / "scene.toml", "-q", "-o", tmp_path / str(n))
-        assert job.returncode == 0, job.stderr
-    for mode, more in MODES:
-        one, three = (
-            Appearance(RunReader(tmp_path / n), look(mode, **more)).frame(5)["sh"]
-            for n in ("1", "3")
-        )
-        np.testing.assert_array_equal(one, three)
 
 
 # ---- runs as numbers, without a solver -----------------------------------------------------------

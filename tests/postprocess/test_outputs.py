@@ -155,13 +155,6 @@ def test_opacity_and_depth_of_the_pictures(out, tmp_path):
     assert alpha[40, 48] > 60000 and depth[40, 48] == pytest.approx(2.5, abs=0.05)  # the bar
 
 
-def test_finer_pictures_are_smoother_and_show_the_same(out, tmp_path):
-    draw(out, tmp_path, "", "-o", tmp_path / "a.png")
-    draw(out, tmp_path, "supersample = 3\n", "-o", tmp_path / "b.png")
-    a, b = (iio.imread(tmp_path / f"{n}.png").astype(int) for n in "ab")
-    assert a.shape == b.shape and 0 < np.abs(a - b).mean() < 4
-
-
 def test_a_preview(out, tmp_path, capsys):
     draw(out, tmp_path, "", "--preview")
     assert capsys.readouterr().out.strip() == str(out / "preview.png")

@@ -64,17 +64,6 @@ def test_a_video_with_its_pictures(out, tmp_path, capsys):
     assert (pictures[0][0, 0] == 255).all()
 
 
-def test_processes_share_the_frames_without_changing_them(out, tmp_path):
-    argv = [str(out), toml(tmp_path, "[camera]\nrevolutions = 1\n"), "-q"]
-    for jobs in ("1", "2"):
-        where = tmp_path / jobs
-        more = ["-o", str(where / "v.mp4"), "--frames", str(where / "png"), "--jobs", jobs]
-        assert render.main(argv + more) == 0
-    for a in sorted((tmp_path / "1" / "png").iterdir()):
-        b = tmp_path / "2" / "png" / a.name
-        np.testing.assert_array_equal(iio.imread(a), iio.imread(b))
-
-
 def test_an_orbit_goes_round(out, tmp_path):
     argv = [str(out), toml(tmp_path, "[camera]\nrevolutions = 1\nazimuth = 0\n"), "-q"]
     assert render.main([*argv, "-o", str(tmp_path / "v.mp4"), "--frames", str(tmp_path / "p")]) == 0
@@ -154,15 +143,6 @@ def test_mistakes_end_with_code_2_and_one_line(out, tmp_path, capfd, argv, says)
     text = capfd.readouterr().err.strip()
     assert says in text and "\n" not in text
     assert not (out / "video.mp4").exists()
-
-
-def test_the_command_runs_by_itself(out, tmp_path):
-    command = [sys.executable, "-m", "vgmpi", "render", str(out), toml(tmp_path)]
-    done = subprocess.run(
-        [*command, "-o", str(tmp_path / "v.mp4")], cwd=ROOT, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    assert len(read(tmp_path / "v.mp4")[1]) == 4
 
 
 SLOW = (  # to load, and of no use for one picture

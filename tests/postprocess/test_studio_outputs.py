@@ -11,7 +11,6 @@ import pytest
 
 import vgmpi.postprocess.studio
 from tests.support import drawn_runs
-from tests.support.launch import mpirun
 from vgmpi.io.run_reader import RunReader
 from vgmpi.postprocess.commands import render
 from vgmpi.postprocess.frames import render_config
@@ -71,16 +70,6 @@ def test_processes_share_the_frames_without_changing_them(out, tmp_path):
     one, two = (pictures(tmp_path / jobs) for jobs in "12")
     assert len(one) == FRAMES
     same(one, two)
-
-
-@pytest.mark.mpi
-def test_ranks_share_the_frames_without_changing_them(out, tmp_path):
-    draw(out, tmp_path, TWO, "-o", tmp_path / "alone")
-    done = mpirun(2, *DRAW, out, tmp_path / "render.toml", "-o", tmp_path / "shared", "-q")
-    assert done.returncode == 0, done.stderr
-    alone = pictures(tmp_path / "alone")
-    assert len(alone) == 2 * FRAMES
-    same(alone, pictures(tmp_path / "shared"))
 
 
 def test_cameras_draw_as_if_they_were_alone(out, tmp_path):

@@ -211,14 +211,14 @@ class Contestant:
         simulation, seconds = self.simulation, []
         for _ in range(cycles):
             clock = simulation.clock = Stages(time.thread_time)
-            before, steps = simulation.sent, self.cycle()
+            before, steps = simulation.exchange.bytes_sent, self.cycle()
             seconds.append([clock.spent.get(stage, 0.0) / steps for stage in WORK])
-            sent = (simulation.sent - before) / steps
+            sent = (simulation.exchange.bytes_sent - before) / steps
         simulation.clock = None
-        assert simulation.halo is not None
-        groups, tables = simulation.groups, simulation.tables
+        assert simulation.exchange.halo is not None
+        groups, tables = simulation.groups, simulation.exchange.tables
         waits = int(np.repeat(tables.receives_remote, np.diff(tables.first)).sum())
         quickest = min(seconds, key=sum)
         row = [*quickest, sum(map(len, groups)), sum(len(g.start) for g in groups), waits, sent]
-        row.append(len(simulation.halo.sends))
+        row.append(len(simulation.exchange.halo.sends))
         return {"rows": self.ranks.all_rows(np.array([row], np.float64)).tolist()}

@@ -25,11 +25,10 @@ from vgmpi.runtime.config.schema import TomlError
 from vgmpi.runtime.config.toml_source import TomlSource
 from vgmpi.runtime.user_files import replace_file
 from vgmpi.scene.loader import load
-from vgmpi.tools.fit.data_targets import RunTarget
 from vgmpi.tools.fit.video_prior.denoising_target import DenoisingTarget
 from vgmpi.tools.tradeoff.study_runs import StudyError
 
-from .data_targets import TableTarget
+from .data_targets import RunTarget, TableTarget
 from .evaluations import Evaluation, Evaluations
 from .fit_config import FitFile
 from .parameter_space import ParameterAxis

@@ -11,11 +11,10 @@ from vgmpi.io.run_reader import RunError
 from vgmpi.runtime import user_files
 from vgmpi.runtime.message_text import did_you_mean
 from vgmpi.solver.diagnostics.probe_sampling import files
-from vgmpi.tools.fit.target_base import MAX_DISPLAY_SIZE, Pictures
 from vgmpi.tools.tradeoff.error_measures import AXIS, RunOutcome
 
 from .fit_config import FitFile, FitFileError
-from .target_base import Target, held_out, nearest_frames
+from .target_base import MAX_DISPLAY_SIZE, Pictures, Target, held_out, nearest_frames
 
 TIME_TOLERANCE = 1e-6  # [frame intervals]
 

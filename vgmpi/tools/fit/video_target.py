@@ -8,10 +8,9 @@ import numpy as np
 from scipy import ndimage
 
 from vgmpi.runtime import process_limits
-from vgmpi.tools.fit.target_base import MAX_DISPLAY_SIZE, Pictures
 
 from .fit_config import FitFile
-from .target_base import Target, held_out, nearest_frames
+from .target_base import MAX_DISPLAY_SIZE, Pictures, Target, held_out, nearest_frames
 from .video_reader import describe_pictures, pictures_in, scaled
 
 BLUR_FRACTIONS = (16, 48, 140)  # [-] image width over blur width, by stage

@@ -5,11 +5,9 @@ import logging
 import numpy as np
 from scipy import ndimage
 
-from vgmpi.tools.photo.manhattan_frame import Segments, detect_segments
-
 from .body_sources import Guess
 from .layout_config import LoadedLayout
-from .manhattan_frame import Frame, fit_frame
+from .manhattan_frame import Frame, Segments, detect_segments, fit_frame
 from .photo_camera import View
 from .photograph import Photograph
 
