@@ -292,13 +292,3 @@ def test_a_wrong_render_toml_is_told(folder, capsys, old, new, said):
     (folder / "bad.toml").write_text(content.replace(old, new))
     _, told = refused(capsys, folder, text(VIDEO).replace("render.toml", "bad.toml"), "bad")
     assert said in told
-
-
-def test_a_fit_goes_on(folder, capsys):
-    """With nothing made again, and the same bits."""
-    found_in(folder, 'video = "off"\nmax_camera_shift = 3', "again")
-    first = [(folder / "again" / name).read_bytes() for name in ("report.md", "fitted.toml")]
-    stamps = {p: p.stat().st_mtime_ns for p in folder.glob("again/runs/*/fit.json")}
-    found_in(folder, 'video = "off"\nmax_camera_shift = 3', "again")
-    assert [(folder / "again" / n).read_bytes() for n in ("report.md", "fitted.toml")] == first
-    assert stamps and all(p.stat().st_mtime_ns == stamp for p, stamp in stamps.items())

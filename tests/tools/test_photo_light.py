@@ -4,6 +4,8 @@ import tomllib
 
 import numpy as np
 import pytest
+from PIL import Image
+from scipy import ndimage
 
 from tests.support import drawn_photograph
 from vgmpi.postprocess.frames.render_config import load
@@ -100,6 +102,21 @@ def test_a_drawn_photograph_has_the_light_that_drew_it(made, word):
     assert settings.captures == 0
     kind = settings.picture.floor.kind
     assert kind == ("photograph" if word == "keep" else None)
+
+
+def test_shadows_leave_the_background_if_the_layout_asks_for_it(made):
+    drawing, drawn = drawn_photograph.drawing, drawn_photograph.three()
+    bare = drawing.draw([], drawn_photograph.VIEW, drawn_photograph.EYE).rgb.astype(float)
+    outside = ~ndimage.binary_dilation(np.logical_or.reduce(drawn.masks), iterations=4)
+    shadow = outside & ((bare - drawn.rgb).mean(-1) > 25)
+    error = {}
+    for word in ("keep", "remove"):
+        out = made / word / "out"
+        assert ("shadows:" in (out / "images.log").read_text()) == (word == "remove")
+        background = np.asarray(Image.open(out / "background.png"), dtype=float)
+        error[word] = np.abs(background - bare)[shadow].mean()
+    print(error)
+    assert error["remove"] < 0.4 * error["keep"]
 
 
 def test_a_light_in_the_layout_is_taken(tmp_path):

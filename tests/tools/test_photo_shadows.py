@@ -39,25 +39,3 @@ def test_a_table_without_shadows_has_none(truth):
     drawn, bare, true = truth
     shadows = cast_shadows(bare, drawn.masks, [False, False, True])
     assert shadows.sum() < 0.05 * true.sum()
-
-
-def test_shadows_leave_the_background_if_the_layout_asks_for_it(tmp_path, capfd):
-    pytest.importorskip("cv2", reason="no OpenCV: pip install 'vgmpi[images]'")
-    from PIL import Image
-
-    from vgmpi.tools.photo.__main__ import main
-
-    drawn = drawn_photograph.three()
-    bare = drawing.draw([], drawn_photograph.VIEW, drawn_photograph.EYE).rgb.astype(float)
-    outside = ~ndimage.binary_dilation(np.logical_or.reduce(drawn.masks), iterations=4)
-    shadow = outside & ((bare - drawn.rgb).mean(-1) > 25)
-    error = {}
-    for word in ("keep", "remove"):
-        text = drawn_photograph.layout() + f'[scene]\nshadows = "{word}"\n'
-        photo, layout = drawn_photograph.put(tmp_path / word, text)
-        assert main([str(photo), str(layout), "-o", str(tmp_path / word / "out")]) == 0
-        assert ("shadows:" in capfd.readouterr().out) == (word == "remove")
-        background = np.asarray(Image.open(tmp_path / word / "out" / "background.png"), dtype=float)
-        error[word] = np.abs(background - bare)[shadow].mean()
-    print(error)
-    assert error["remove"] < 0.4 * error["keep"]

@@ -8,31 +8,11 @@ import re
 import tomllib
 
 import pytest
-from PIL import Image
 
-from tests.support import drawn_photograph
 from tests.support.foreign_configs import BOX, ONE, egg, several
 from vgmpi.commands.command_table import main as vgmpi_main
 from vgmpi.io.run_reader import RunReader
 from vgmpi.tools.photo import example_photographs
-
-LAYOUT = """
-[camera]
-fov = {fov}
-pitch = {pitch}
-[scene]
-end = "0.2 s"
-frames = 5
-cells = 24
-[[object]]
-name = "it"
-box = {box}
-{form}
-height = "10 cm"
-material = "{material}"
-{support}
-"""
-IN_THE_AIR = 'support = "6 cm"'
 
 
 def run_to_end(scene, *flags):
@@ -42,31 +22,6 @@ def run_to_end(scene, *flags):
     cell, time = keys["domain"]["cell"], keys["time"]
     assert len(known) == time["frames"] and known.times[-1] == pytest.approx(time["end"])
     return min(known.frame(k)["positions"][:, 2].min() for k in range(len(known))) / cell
-
-
-@pytest.mark.parametrize(
-    "thing, material, support",
-    [(0, "jelly", ""), (1, "rubber", IN_THE_AIR)],
-)
-def test_a_photograph_becomes_a_scene_that_runs(tmp_path, thing, material, support):
-    """A soft body stands on the floor, or falls onto it, and does not sink through it."""
-    pytest.importorskip("cv2", reason="no OpenCV: pip install 'vgmpi[images]'")
-    view = drawn_photograph.VIEW
-    drawn = drawn_photograph.drawing.draw(
-        [drawn_photograph.THINGS[thing]], view, drawn_photograph.EYE
-    )
-    Image.fromarray(drawn.rgb).save(tmp_path / "photo.png")
-    box = [int(edge) for edge in drawn_photograph.bounding_box(drawn.masks[0])]
-    form = drawn_photograph.FORMS[thing]
-    (tmp_path / "layout.toml").write_text(
-        LAYOUT.format(
-            fov=view.fov, pitch=view.pitch, box=box, form=form, material=material, support=support
-        )
-    )
-    folder = tmp_path / "scene"
-    words = ["photo", str(tmp_path / "photo.png"), str(tmp_path / "layout.toml")]
-    assert vgmpi_main([*words, "-o", str(folder)]) == 0
-    assert run_to_end(folder / "scene.toml") > -0.1
 
 
 # dB of the worst object and of the whole picture
