@@ -16,9 +16,8 @@ EVERY = 5.0  # [s] between log lines, and between updates of a bar
 class FrameProgress:
     """Progress bar on a terminal, else a log line every five seconds.
 
-    with FrameProgress(50) as progress: ... progress.add()
-
-    A thread shows them, so that a frame that takes long is seen to be drawn.
+    It is a context, in which `add` counts a frame. A thread shows the progress, so that a frame
+    that takes long is seen to be drawn.
     """
 
     def __init__(self, total: int, quiet: bool = False, finished: int = 0):

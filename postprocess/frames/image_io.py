@@ -44,7 +44,7 @@ TRANSPARENT = (".webm",)  # formats with an alpha channel
 class Film:
     """Writer of a video; the file gets its name only when it is complete.
 
-    with Film("video.mp4", 800, 600, fps=25) as film: film.add(picture)
+    It is a context, in which `add` takes the pictures.
 
     The formats are .mp4 (H.264), .webm (VP9) and .gif. The class runs ffmpeg itself:
     imageio-ffmpeg's writer ignores ffmpeg's exit code, so that a full disk would leave a broken

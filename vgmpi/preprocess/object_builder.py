@@ -14,8 +14,7 @@ from vgmpi.gaussians.formats import registry
 from vgmpi.gaussians.formats.validation import MAX_MAGNITUDE
 from vgmpi.gaussians.shape_evolution import FAMILIES_DRAWN_AS_SPHERES
 from vgmpi.gaussians.spherical_harmonics import dc_from_rgb
-from vgmpi.preprocess.meshes import point_in_mesh
-from vgmpi.preprocess.meshes import surface_mesh as mesh
+from vgmpi.preprocess.meshes import point_in_mesh, surface_mesh
 from vgmpi.preprocess.pruning import prune
 from vgmpi.preprocess.sampling import interior_fill
 from vgmpi.preprocess.sampling.voxels import (
@@ -148,11 +147,11 @@ def _from_shape(scene: Scene, k: int, obj: Object) -> BuiltObject:
 def _from_mesh(scene: Scene, k: int, obj: Object) -> BuiltObject:
     """Return an object made of a surface mesh."""
     spacing = spacing_of(scene, obj)
-    surface_mesh = mesh.read(scene.files[obj.name])
-    if surface_mesh.has_material_colors and "color" in obj.model_fields_set:
-        surface_mesh = replace(surface_mesh, triangle_rgb=None)
-    transform = placement(obj, lambda d: float((surface_mesh.points @ d).max()))
-    placed = replace(surface_mesh, points=transform.to_domain(surface_mesh.points))
+    whole_mesh = surface_mesh.read(scene.files[obj.name])
+    if whole_mesh.has_material_colors and "color" in obj.model_fields_set:
+        whole_mesh = replace(whole_mesh, triangle_rgb=None)
+    transform = placement(obj, lambda d: float((whole_mesh.points @ d).max()))
+    placed = replace(whole_mesh, points=transform.to_domain(whole_mesh.points))
     low, high = placed.points.min(axis=0), placed.points.max(axis=0)
     memory_estimate.within_numbers(scene, obj, low, high)
     if obj.role == "body":
@@ -173,9 +172,9 @@ def _from_mesh(scene: Scene, k: int, obj: Object) -> BuiltObject:
         memory_estimate.require_memory_for_interior(
             scene, k, candidates, lambda h: len(shape_sdf.lattice(*search(h)))
         )
-    surface = mesh.sample(placed, spacing, obj.color, obj.opacity, [scene.seed, k])
+    surface = surface_mesh.sample(placed, spacing, obj.color, obj.opacity, [scene.seed, k])
     amount = 0.0 if _is_fluid(scene, obj) else scene.appearance.baked_shading
-    rgb, shade = apply_baked_shading(surface.rgb, mesh.normals(surface), amount)
+    rgb, shade = apply_baked_shading(surface.rgb, surface_mesh.normals(surface), amount)
     surface.sh[:, 0] = dc_from_rgb(rgb)
     surface = replace(surface, shade=shade)
     if not filled:

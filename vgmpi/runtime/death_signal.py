@@ -4,7 +4,7 @@ import ctypes
 import signal
 from collections.abc import Callable
 
-_SET_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG
+PR_SET_PDEATHSIG = 1  # number of the call, as in <sys/prctl.h>
 
 
 def die_with_parent(number: signal.Signals) -> Callable[[], None]:
@@ -18,6 +18,6 @@ def die_with_parent(number: signal.Signals) -> Callable[[], None]:
     def arm() -> None:
         """Ask the kernel for the signal; runs in the child."""
         if prctl is not None:
-            prctl(_SET_DEATH_SIGNAL, int(number))
+            prctl(PR_SET_PDEATHSIG, int(number))
 
     return arm

@@ -9,7 +9,7 @@ The specification names the axes right, up, back; the programs of its authors wr
 .ply unchanged. Here, as there, a cloud is what its .ply would hold.
 
 References:
-    developer.playcanvas.com/user-manual/gaussian-splatting/formats/sog
+    https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/sog
 """
 
 import io

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vgmpi.gaussians import spherical_harmonics as harmonics
+from vgmpi.gaussians import spherical_harmonics
 from vgmpi.gaussians.camera import Camera, look_at
 from vgmpi.gaussians.cloud import GaussianCloud
 from vgmpi.postprocess.raster.psnr import psnr
@@ -52,7 +52,7 @@ def render_views(
     compensated = np.full(len(cloud), cloud.lowpass) if cloud.is_antialiased else None
     out = []
     for view in views:
-        color = harmonics.evaluate(cloud.sh, cloud.x - view.eye)
+        color = spherical_harmonics.evaluate(cloud.sh, cloud.x - view.eye)
         splats = ProjectableGaussians(cloud.x, cov, cloud.opacity, color, compensated)
         picture, through = render(splats, view, alpha_min=ALPHA_MIN)
         out.append((np.clip(picture, 0.0, 1.0), through))
