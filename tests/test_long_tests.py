@@ -70,7 +70,8 @@ def test_both_parts_are_everything_once(tree):
 
 
 def test_names_that_stand_for_nothing_are_an_error(tree):
-    names = ["tests/test_gone.py", f"tests/{ONE}::test_cases[b]", f"tests/{ONE}::test_gone"]
+    gone = ("test_gone.py", f"{ONE}::test_cases[b]", f"{ONE}::test_gone")
+    names = [f"tests/{name}" for name in gone]
     with open(tree / "tests/long_tests.txt", "a") as file:
         file.writelines(f"{name}\n" for name in names)
     for part in long_tests.PARTS:
