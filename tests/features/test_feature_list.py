@@ -2,34 +2,46 @@
 
 import subprocess
 import sys
-from importlib import import_module
 from pathlib import Path
 
-import pytest
-
 import vgmpi.features
-from vgmpi.features import start_features
+from tests.support.simulate import begin
 from vgmpi.scene.scene_feature import FEATURES, SceneFeature, features
 
+SCENE = """
+[domain]
+size = [0.2, 0.2, 0.2]
+cell = 0.02
+[time]
+end = 0.01
+[material.water]
+kind = "fluid"
+tait_coefficient = 2e4
+[[object]]
+name = "drop"
+material = "water"
+shape = { box = [[0.02, 0.02, 0.02], [0.08, 0.08, 0.08]] }
+release_time = "1 ms"
+[[object]]
+name = "paddle"
+role = "scenery"
+collider = true
+shape = { box = [[0.12, 0.12, 0.02], [0.18, 0.18, 0.08]] }
+motion = { velocity = [0, 0, 0.1] }
+[[outlet]]
+name = "drain"
+shape = { box = [[0.1, 0, 0], [0.2, 0.02, 0.02]] }
+"""
 ROOM = Path(vgmpi.features.__file__).parent
-STARTS = start_features.STARTS
 
 
 def test_features_of_scenes_have_names_of_their_own():
     assert len(features()) == len(FEATURES) == len({each.name for each in features()})
     for folder, feature in zip(FEATURES, features(), strict=True):
         assert isinstance(feature, SceneFeature)
-        assert feature.name == folder and feature.title and not set(STARTS) & {folder}
+        assert feature.name == folder and feature.title
         keys = [key for other in features() for key in other.object_keys.model_fields]
         assert len(keys) == len(set(keys))
-
-
-def test_features_of_a_run_act_in_the_order_of_the_list():
-    order = start_features.order_of_features()
-    assert len(set(order)) == len(order)
-    places = [order.index(name) for name in FEATURES]
-    assert places == sorted(places)
-    assert [name for name in order if name in start_features.STARTS] == list(start_features.STARTS)
 
 
 def test_lists_and_keys_of_sections_have_names_of_their_own():
@@ -44,15 +56,17 @@ def test_lists_and_keys_of_sections_have_names_of_their_own():
     assert len(keys) == len(set(keys))
 
 
-@pytest.mark.parametrize("name", STARTS)
-def test_a_feature_of_a_run_has_a_function_that_starts_it(name):
-    module, function, _ = STARTS[name]
-    assert callable(getattr(import_module(f"vgmpi.features.{module}"), function))
+def test_features_of_a_run_act_in_the_order_of_the_list(tmp_path):
+    """Whatever the order in which they plan: prescribed bodies plan first."""
+    simulation, _ = begin(tmp_path, SCENE)
+    names = ["moving_colliders", "prescribed_motion", "inlets_outlets", "releases"]
+    assert list(simulation.features) == names
+    assert [plan.name for plan in simulation.plan.features] == [names[1], names[0], *names[2:]]
 
 
 def test_every_folder_is_in_a_list():
     folders = {path.name for path in ROOM.iterdir() if (path / "__init__.py").exists()}
-    assert folders == {*FEATURES, *(module.split(".")[0] for module, *_ in STARTS.values())}
+    assert folders == set(FEATURES)
 
 
 def test_reading_a_scene_compiles_and_plans_nothing():

@@ -11,7 +11,7 @@ import vgmpi
 from tests.support.small_scenes import write
 from vgmpi.materials import registry
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.planning.cost.feature_costs import step_ns
+from vgmpi.planning.cost.feature_costs import step_ns, step_overhead
 from vgmpi.planning.cost.plan_report import format_plan
 from vgmpi.planning.cost.run_estimate import (
     FRAME_SECONDS,
@@ -19,7 +19,6 @@ from vgmpi.planning.cost.run_estimate import (
     mean_counts,
     rank_overhead,
 )
-from vgmpi.planning.cost.step_overhead import step_overhead
 from vgmpi.planning.cost.throughput import ASSUMED_THROUGHPUT, Throughput
 from vgmpi.solver import initial_particles
 from vgmpi.solver.diagnostics import progress as report

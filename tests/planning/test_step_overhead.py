@@ -9,7 +9,7 @@ from tests.solver.test_pilot_run import FALLS, PACE, TAP
 from tests.support.small_scenes import write
 from vgmpi.features.inlets_outlets.plan import INLET_SECONDS
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.planning.cost import step_overhead
+from vgmpi.planning.cost import feature_costs
 from vgmpi.planning.cost.feature_costs import step_ns
 from vgmpi.planning.cost.run_estimate import predicted_seconds
 from vgmpi.solver.initial_particles import plan_for, prepare
@@ -40,16 +40,16 @@ def planned(folder, text):
     ("more", "seconds"),
     [
         (TAP, INLET_SECONDS),
-        (WALL, step_overhead.COLLIDER_SECONDS),
-        (MOVES, step_overhead.MOVING_COLLIDER_SECONDS),
-        (FREE, step_overhead.MOVING_COLLIDER_SECONDS),
+        (WALL, feature_costs.COLLIDER_SECONDS),
+        (MOVES, feature_costs.MOVING_COLLIDER_SECONDS),
+        (FREE, feature_costs.MOVING_COLLIDER_SECONDS),
     ],
     ids=["inlet", "collider", "moving", "rigid"],
 )
 def test_a_step_takes_more_with_everything_in_the_scene(tmp_path, more, seconds):
-    alone = step_overhead.step_overhead(*planned(tmp_path, FALLS))
-    assert alone == step_overhead.STEP_SECONDS + step_overhead.PHASE_SECONDS  # two phases
-    assert step_overhead.step_overhead(*planned(tmp_path, FALLS + more)) == pytest.approx(
+    alone = feature_costs.step_overhead(*planned(tmp_path, FALLS))
+    assert alone == feature_costs.STEP_SECONDS + feature_costs.PHASE_SECONDS  # two phases
+    assert feature_costs.step_overhead(*planned(tmp_path, FALLS + more)) == pytest.approx(
         alone + seconds
     )
 

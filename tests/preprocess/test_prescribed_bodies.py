@@ -6,6 +6,7 @@ import pytest
 from tests.scene.test_bad_scenes import broken, lines
 from tests.support.simulate import advance, begin, by_id, conservation_rows
 from tests.support.small_scenes import scene
+from vgmpi.features.prescribed_motion.plan import PrescribedMotionPlan
 from vgmpi.planning.plan import make_plan
 from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.runtime.config.schema import SceneError
@@ -224,7 +225,8 @@ def test_while_all_is_held_steps_are_as_long_as_frames(tmp_path):
     simulation, _ = begin(tmp_path, text)
     advance(simulation, 0.02)
     assert simulation.step < 4
-    assert [len(one.objects) for one in simulation.plan.driven] == [2]  # let go together
+    motion = simulation.plan.feature(PrescribedMotionPlan)
+    assert [len(one.objects) for one in motion.bodies] == [2]  # let go together
     advance(simulation, 0.03)
     assert simulation.step > 20
 
@@ -234,7 +236,7 @@ def test_off_is_off(tmp_path):
     text = TWO[: TWO.index("release_time")] + TWO[TWO.index('[[object]]\nname = "free"') :]
     loaded = scene(tmp_path, text[: text.rindex("[[object]]")])
     plan = make_plan(loaded, [1, 1], [1e-6, 1e-6], False)
-    assert plan.driven == () and [phase.name for phase in plan.phases] == ["sand"]
+    assert plan.features == () and [phase.name for phase in plan.phases] == ["sand"]
     simulation, _ = begin(tmp_path, text[: text.rindex("[[object]]")])
     assert "prescribed_motion" not in simulation.features and "releases" not in simulation.features
     assert isinstance(simulation.engine, Cpu)

@@ -7,6 +7,7 @@ import pytest
 
 import vgmpi
 from tests.support.simulate import advance, begin, by_id
+from vgmpi.features.pinned_parts.plan import PinnedPartsPlan
 from vgmpi.features.rigid_bodies.plan import RigidBodiesPlan
 from vgmpi.planning.cost.plan_report import format_plan
 from vgmpi.planning.region_groups import groups_of_particles
@@ -97,7 +98,7 @@ def test_what_is_refused(tmp_path, old, new, message):
 
 def test_a_probe_of_a_body_that_a_collider_holds_is_refused(tmp_path):
     probe = '[[probe]]\nname = "grip"\nsampling_rate = 10\ncollider = "beam"\n'
-    assert "or one that is pinned to the world" in refusal(tmp_path, SCENE + probe)
+    assert "a body that is pinned to the world" in refusal(tmp_path, SCENE + probe)
 
 
 @pytest.mark.parametrize(
@@ -187,7 +188,7 @@ def test_parts_regions_and_thin_walls_have_groups_of_their_own(tmp_path, more):
     """A region of the material of a body that is pinned belongs to the body's free group."""
     simulation, made = begin(tmp_path, BESIDE + more)
     plan = simulation.plan
-    (part,), (region,) = plan.features[0].pinned, plan.regions
+    (part,), (region,) = plan.feature(PinnedPartsPlan).pinned, plan.regions
     (group,) = part.groups
     assert plan.groups[group].carrier and not plan.groups[region.group].carrier
     assert plan.groups[region.group].material == "rubber"

@@ -18,7 +18,7 @@ from tests.support.small_scenes import write
 from vgmpi.commands import cli, run_report
 from vgmpi.io.run_reader import RunReader
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.planning.cost import pilot_result, step_overhead
+from vgmpi.planning.cost import feature_costs, pilot_result
 from vgmpi.planning.cost.feature_costs import step_ns
 from vgmpi.planning.cost.pilot_result import CoarseStep, PilotRun, Snapshot
 from vgmpi.planning.cost.plan_report import format_plan
@@ -212,7 +212,7 @@ def test_what_a_step_takes_besides_particles_is_measured(tmp_path):
     """A pilot run with a dearer step tells a dearer run; it cannot be less than nothing."""
     step = CoarseStep(2e-3, 1000.0, 500.0)
     assert step.overhead(PACE) == pytest.approx(2e-3 - 1e-9 * (1000 * 70 + 500 * 80))
-    assert step._replace(seconds=0.0).overhead(PACE) == step_overhead.STEP_SECONDS
+    assert step._replace(seconds=0.0).overhead(PACE) == feature_costs.STEP_SECONDS
 
 
 def test_it_has_room_where_no_coarser_cells_fit(tmp_path):

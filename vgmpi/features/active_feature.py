@@ -22,7 +22,9 @@ from vgmpi.parallel.block_ownership import BlockDirectory
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.exchange_topology import ExchangeTopology
 from vgmpi.parallel.particle_group import ParticleGroup
+from vgmpi.planning.feature_plan import first_reaction_rows
 from vgmpi.planning.plan import Plan
+from vgmpi.scene import scene_feature
 
 from .particle_insertion import ParticleRows
 
@@ -37,7 +39,7 @@ class StartContext(NamedTuple):
     colliders: Sequence  # as prepared
     collider_nodes: Any  # colliders at the nodes (MovingColliders, StaticColliders), or None
     movers: Any  # colliders that are evaluated in every step (MovingColliders), or None
-    prescribed: Any  # prescribed bodies (PrescribedBodies), or None
+    prescribed: Any  # phases whose velocity a feature prescribes (PhaseMotions), or None
     threads: int
     first_reaction_row: int  # row of its first reaction
     features: Mapping[str, "ActiveFeature"]  # of the run; those before it have started
@@ -276,3 +278,19 @@ def reserved_nodes(features: Mapping[str, ActiveFeature]) -> np.ndarray | None:
     """Return the nodes that features attach, (node blocks, 64) uint8, or None."""
     marks = [each.reserved_nodes for each in features.values() if each.reserved_nodes is not None]
     return np.maximum.reduce(marks) if marks else None
+
+
+def start_features(context: StartContext, features: dict[str, ActiveFeature]) -> None:
+    """Start the features of a plan on this rank, in the order in which they act.
+
+    Args:
+        context: What they may take.
+        features: The features by name (out).
+    """
+    plans = {plan.name: plan for plan in context.plan.features}
+    rows = first_reaction_rows(context.plan.features, context.first_reaction_row)
+    for name in (feature.name for feature in scene_feature.features()):
+        if name in plans:
+            feature = plans[name].start(context._replace(first_reaction_row=rows[name]))
+            if feature is not None:
+                features[name] = feature

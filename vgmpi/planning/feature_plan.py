@@ -1,14 +1,34 @@
 """Plan of an optional feature: what the rest of a plan must know of it."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from vgmpi.scene.rigid_motion import Trajectory
 from vgmpi.scene.scene_feature import features
 
-from .prescribed_bodies import PrescribedBodyPlan
 from .step_costs import ProximityCost, StageCost
+
+TIME_TOLERANCE = 1.0 + 1e-12  # [-] ratio below which two times count as equal
+
+
+class ReleaseLayer(NamedTuple):
+    """Horizontal layer of a body, released as a whole."""
+
+    time: float  # [s] of the release
+    low: float = -math.inf  # [m] range of heights
+    high: float = math.inf
+
+
+class ReleasedParticles(NamedTuple):
+    """Particles of a group that join another one at given times."""
+
+    group: int
+    group_after_release: int
+    course: Trajectory | None  # their motion before; None: they are at rest
+    layers: tuple[ReleaseLayer, ...]  # in order of time; empty if they are never released
 
 
 class BodyPart(NamedTuple):
@@ -115,9 +135,33 @@ class FeaturePlan:
             groups: Their groups (in/out), shape (n,).
         """
 
-    def released_parts(self) -> list[PrescribedBodyPlan]:
-        """Return the parts that join another group at a time."""
+    def released_particles(self) -> list[ReleasedParticles]:
+        """Return the particles that join another group at a time."""
         return []
+
+    def groups_after_release(self) -> dict[int, int]:
+        """Return the group that each of its whole bodies joins at a time, by the body's row."""
+        return {}
+
+    def reserved_bytes(self, plan: Any) -> int:
+        """Return the memory [bytes] of particles that have space in a second group."""
+        return 0
+
+    def courses(self) -> list[tuple[Trajectory, float]]:
+        """Return the motion of each body that it moves, and its largest radius [m]."""
+        return []
+
+    def phase_motions(self, plan: Any, first_row: int) -> Any:
+        """Return the velocities of the phases that it prescribes, or None if it prescribes none.
+
+        Args:
+            plan: The plan of the run.
+            first_row: Row of its first reaction.
+
+        Returns:
+            Something with the attributes of a kernels/rigid/prescribed_motion.py `PhaseMotions`.
+        """
+        return None
 
     def may_hold(self, group: int, usual: np.ndarray) -> np.ndarray:
         """Return which particles may have come to a group because of the feature, (n,) bool.
@@ -136,8 +180,8 @@ class FeaturePlan:
         """Return the mean number of particles of each of its sources over the run, by row."""
         return {}
 
-    def reaction_bodies(self) -> list[tuple[int, tuple[float, ...]]]:
-        """Return (object, reference point [m]) of each body whose reactions it sums."""
+    def reaction_bodies(self) -> list[tuple[tuple[int, ...], tuple[float, ...]]]:
+        """Return (objects, reference point [m]) of each row of reactions that it adds."""
         return []
 
     def report_lines(self, plan: Any) -> list[str]:
@@ -180,20 +224,34 @@ class PlanDraft(NamedTuple):
     groups: tuple  # of `GroupPlan`
     group_of: tuple[int, ...]  # group of each entity of the scene, -1 without particles
     particle_counts: list[int]  # of each entity
+    features: tuple[FeaturePlan, ...] = ()  # planned so far
 
 
-def plan_features(
-    draft: PlanDraft, prepared: Mapping[str, Any]
-) -> tuple[tuple[FeaturePlan, ...], PlanDraft]:
-    """Return the plans of all features that a scene has, and the draft with their changes.
+def plan_features(draft: PlanDraft, prepared: Mapping[str, Any]) -> PlanDraft:
+    """Return the draft with the plans of all features that a scene has, and their changes.
+
+    Features that move whole bodies to groups of their own come first.
 
     Args:
         draft: Phases and groups without these features.
         prepared: Prepared data of features by name.
     """
-    plans = []
-    for feature in features():
+    for feature in sorted(features(), key=lambda each: not each.moves_bodies):
         plan, draft = feature.plan(draft, prepared.get(feature.name))
         if plan is not None:
-            plans.append(plan)
-    return tuple(plans), draft
+            draft = draft._replace(features=(*draft.features, plan))
+    return draft
+
+
+def first_reaction_rows(plans: Iterable[FeaturePlan], first: int) -> dict[str, int]:
+    """Return the row of the first reaction of each feature, by name.
+
+    Args:
+        plans: Plans of the features.
+        first: Row of the first reaction of all.
+    """
+    rows = {}
+    for plan in plans:
+        rows[plan.name] = first
+        first += len(plan.reaction_bodies())
+    return rows

@@ -14,7 +14,7 @@ from vgmpi.materials.couplings.interaction import CONTACT, DRAG, InteractionRule
 from vgmpi.materials.material import law_function, state_channels
 from vgmpi.scene.objects import Object
 from vgmpi.scene.scene import Scene
-from vgmpi.scene.scene_feature import ParticleSource
+from vgmpi.scene.scene_feature import ParticleSource, phases_of_features
 
 from .color_exchange import ColorExchange
 from .correction_intervals import shift_cost, shift_interval
@@ -50,7 +50,7 @@ class GroupPlan(NamedTuple):
     tracks_deformation: bool = False  # stores its total deformation gradient, which its law lacks
     surface: bool = False  # its particles carry the surface descriptor of the body at rest
     coefficients: int = 0  # color coefficients that are transferred in every step
-    driven: bool = False  # its motion is prescribed (prescribed_bodies.py)
+    driven: bool = False  # a feature prescribes the velocity of its phase
     space: float = 0.0  # [1/kg] inverse mass of a full cell with density correction, else 0
     shifts: bool = False  # its particles are shifted where they crowd, and keep their volume
     cell_dilatation: bool = False  # its volume follows the mean divergence of cells
@@ -159,7 +159,7 @@ def phases_with_surface(scene: Scene) -> frozenset[str]:
             kinds = families.setdefault(scene.phase_of(entity) or "", set())
             kinds.add(scene.material[entity.material].family)
     touches = len(families) > 1
-    touches |= any(entity.collider or entity.driven for entity in scene.object)
+    touches |= any(obj.collider for obj in scene.object) or bool(phases_of_features(scene))
     touches |= any(kind == "separate" for kind, _ in scene.domain.walls)
     return frozenset(name for name, kinds in families.items() if touches and kinds == {"solid"})
 
@@ -177,7 +177,7 @@ def phases_of(
         center: Center of each object [m].
         surface: Whether the particles of each object know its surface
         (preprocess/built_object.py).
-        driven: Rows of the bodies of each phase with prescribed motion, by its name.
+        driven: Rows of the bodies of each phase whose velocity a feature prescribes, by its name.
     """
     members = {name: list(rows) for name, rows in driven.items()}
     for k in bodies:

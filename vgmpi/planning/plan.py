@@ -18,6 +18,7 @@ from vgmpi.materials.material import law_function
 from vgmpi.scene.gravity import Keys, gravity_at, gravity_keys, mean_gravity
 from vgmpi.scene.keyframes import mean_ramp_factor
 from vgmpi.scene.scene import Scene
+from vgmpi.scene.scene_feature import phases_of_features
 from vgmpi.scene.sections import Accuracy
 
 from .color_exchange import ColorExchange, color_exchange
@@ -34,9 +35,8 @@ from .phases_and_groups import (
     with_soft_bodies,
     with_volume_correction,
 )
-from .prescribed_bodies import Extents, PrescribedBodyPlan, prescribed_body_plans, prescribed_phases
-from .proximity import Proximity
 from .region_groups import RegionPlan
+from .step_costs import Proximity
 
 FLOAT_TYPES: dict[str, np.dtype] = {
     "single": np.dtype(np.float32),
@@ -109,9 +109,7 @@ class Plan:
     weights: tuple[float, ...] = ()  # [Pa] on the bottom of each body of liquid, see liquid_weight
     tensions: tuple[float, ...] = ()  # [Pa] of each body of liquid in a closed box
     motion_steps: tuple[float, ...] = ()  # least steps in equal intervals, by prescribed motions
-    driven: tuple[PrescribedBodyPlan, ...] = ()
-    features: tuple[FeaturePlan, ...] = ()  # optional features, in the order in which they act
-    wall_opening_times: tuple[float | None, ...] = (None,) * 6  # [s] when each wall vanishes
+    features: tuple[FeaturePlan, ...] = ()  # optional features, in the order in which they plan
     holding_walls: tuple[str, ...] = ()  # slip walls that also hold back the bodies on them
     regions: tuple[RegionPlan, ...] = ()  # parts of bodies of another material, if known
 
@@ -123,14 +121,6 @@ class Plan:
     def numbers_colliders(self) -> bool:
         """True if the solver must know which collider a node is close to."""
         return any(feature.numbers_colliders for feature in self.features)
-
-    @property
-    def has_releases(self) -> bool:
-        """True if bodies, parts of them or walls are released at a time."""
-        parts = any(feature.released_parts() for feature in self.features)
-        return (
-            bool(self.driven) or parts or any(time is not None for time in self.wall_opening_times)
-        )
 
     @property
     def phases_of_bodies(self) -> int:
@@ -221,9 +211,7 @@ class Plan:
             if self.group_of[k] >= 0:
                 # A quarter is spare, segments are padded to 16, sorting needs three index arrays.
                 total += int(n * (1.4 * self.bytes_per_particle(self.group_of[k]) + 24))
-        for body in self.driven:  # they have space in two groups
-            n = sum(self.count[k] for k in body.objects)
-            total += int(n * 1.4 * self.bytes_per_particle(body.group_after_release))
+        total += sum(feature.reserved_bytes(self) for feature in self.features)
         width, nodes = self.real.itemsize, 64 * 4
         sum_bytes = 8 * (1 if width == 4 else 2) + width  # a reproducible sum, and its value
         touches = self.contact or self.collider or bool(self.planes)
@@ -244,7 +232,7 @@ class Plan:
 def make_plan(
     scene: Scene, count: list[int], volume: list[float], collider: bool,
     center: list[list[float]] | None = None, shades: np.ndarray | None = None,
-    surface: list[bool] | None = None, extents: Extents | None = None, prepared: Any = None,
+    surface: list[bool] | None = None, prepared: Any = None,
 ) -> Plan:  # fmt: skip
     """Return the plan of a scene. Raises SceneError if no time step satisfies the scene.
 
@@ -256,13 +244,12 @@ def make_plan(
         center: Center of each [m]; without it the names order bodies of equal volume.
         shades: Color range, see `color_exchange.coefficient_ranges`.
         surface: Whether the particles of each know its surface; default: none.
-        extents: Corners, see `prescribed_bodies.prescribed_body_plans`.
         prepared: Prepared data of features by name, see scene/scene_feature.py.
     """
     bodies = {k: scene.material[t.material] for k, t in enumerate(scene.entities) if t.material}
     real, n = FLOAT_TYPES[scene.accuracy.precision], len(volume)
     center, surface = center or [[0.0] * 3] * n, surface or [False] * n
-    phases = phases_of(scene, bodies, volume, center, surface, prescribed_phases(scene))
+    phases = phases_of(scene, bodies, volume, center, surface, phases_of_features(scene))
     plain, group_of = groups_of(scene, bodies, phases, real)
     phases, plain = (phases, plain) if bodies else idle_phase(scene, real)
     sharing, colors = interaction_rules(scene, plain, phases), color_exchange(scene, phases, shades)
@@ -273,16 +260,13 @@ def make_plan(
     )
     complete = with_slip_wave_factors(complete, sharing, scene.courant_number * scene.domain.cell)
     complete, phases = with_volume_correction(scene, complete, phases)
-    driven, groups, group_of = prescribed_body_plans(
-        scene, complete, group_of, phases, extents or {}
-    )
-    phases = with_soft_bodies(scene, phases, groups, volume, center)
-    draft = PlanDraft(scene, phases, groups, group_of, count)
-    features, (_, phases, groups, group_of, _) = plan_features(draft, prepared or {})
+    draft = plan_features(PlanDraft(scene, phases, complete, group_of, count), prepared or {})
+    groups = draft.groups
+    phases = with_soft_bodies(scene, draft.phases, groups, volume, center)
     plan = Plan(
         cells=scene.domain.cells, dx=scene.domain.cell, real=real, gravity=scene.domain.gravity,
         walls=tuple(scene.domain.walls), walls_of_solids=tuple(scene.walls_of_solids),
-        phases=phases, groups=groups, group_of=group_of, count=tuple(int(n) for n in count),
+        phases=phases, groups=groups, group_of=draft.group_of, count=tuple(int(n) for n in count),
         first_id=tuple(int(n) for n in np.concatenate([[0], np.cumsum(count)[:-1]])),
         friction=_friction_table(scene, groups, len(phases)),
         collider=collider,
@@ -294,9 +278,7 @@ def make_plan(
         splines=scene.accuracy.gradient == "bspline",
         shift_interval=shift_interval(scene) * any(group.shifts for group in groups),
         gravity_ramp_time=scene.domain.gravity_ramp_time,
-        gravity_keys=gravity_keys(scene.domain), features=features,
-        wall_opening_times=tuple(scene.domain.wall_opening_times),
-        driven=driven,
+        gravity_keys=gravity_keys(scene.domain), features=draft.features,
     )  # fmt: skip
     _check_steps(scene, plan)
     return plan

@@ -10,9 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from vgmpi.planning.prescribed_bodies import course_of
 from vgmpi.scene.objects import Object
-from vgmpi.scene.rigid_motion import spin_tensor
+from vgmpi.scene.rigid_motion import course_of, spin_tensor
 from vgmpi.scene.scene import Scene
 
 from .built_object import BuiltObject
@@ -34,8 +33,8 @@ def initial_velocity(
         weights: Their masses, or volumes where all have one density, shape (n,).
         own: Velocity of each particle beside that of the body, shape (n, 3) [m/s], or None.
     """
-    if obj.driven and obj.motion is not None and len(x):
-        course = course_of(obj, *extent(x))
+    if obj.role == "body" and obj.motion is not None and len(x):
+        course = course_of(obj.motion, *extent(x))
         speed, spin = course.rates(0.0)
         return speed + np.cross(spin, x - np.array(course.about))
     weights = weights / weights.sum()
@@ -76,9 +75,9 @@ def initial_velocity_gradient(scene: Scene, x: np.ndarray, owner: np.ndarray) ->
 
 def _spin(obj: Object) -> tuple[float, ...]:
     """Return the angular velocity [rad/s] at the start."""
-    if not obj.driven or obj.motion is None:
+    if obj.role != "body" or obj.motion is None:
         return obj.angular_velocity
-    return tuple(course_of(obj, (0.0,) * 3, (0.0,) * 3).rates(0.0)[1])
+    return tuple(course_of(obj.motion, (0.0,) * 3, (0.0,) * 3).rates(0.0)[1])
 
 
 def _angle(mode, x: np.ndarray) -> np.ndarray:

@@ -7,9 +7,8 @@ import numpy as np
 
 from vgmpi.kernels.colliders.moving_colliders import MAX_COLLIDER_TRAVEL_CELLS
 from vgmpi.planning.plan import MAX_STEPS
-from vgmpi.planning.prescribed_bodies import course_of
 from vgmpi.scene.objects import Object
-from vgmpi.scene.rigid_motion import SPEED_SAMPLES, Trajectories
+from vgmpi.scene.rigid_motion import SPEED_SAMPLES, Trajectories, Trajectory, course_of
 from vgmpi.scene.scene import Scene
 from vgmpi.scene.scene_feature import hint
 
@@ -53,10 +52,10 @@ def validate_body_motion(scene: Scene, obj: Object, x: np.ndarray) -> list[tuple
     A segment is invalid if it takes some particle out of the domain, or is too fast for a fixed
     time step. x: particles, shape (n, 3) [m].
     """
-    if not obj.driven or obj.motion is None or not len(x):
+    if obj.role != "body" or obj.motion is None or not len(x):
         return []
     low, high = extent(x)
-    course = course_of(obj, low, high)
+    course = course_of(obj.motion, low, high)
     errors, courses, hull = [], Trajectories([course]), _hull(x)
     for t0, t1, key in course.segments(scene.time.end):
         radius = np.array([course.max_radius(low, high)])
@@ -104,7 +103,9 @@ def _outside_domain(scene: Scene, x: np.ndarray, courses: Trajectories, time: fl
     return ""
 
 
-def motion_steps(scene: Scene, colliders: list[Collider], extents: dict) -> np.ndarray:
+def motion_steps(
+    scene: Scene, colliders: list[Collider], of_bodies: list[tuple[Trajectory, float]]
+) -> np.ndarray:
     """Return the steps that prescribed motions take in equal intervals of the run, shape (n,).
 
     The fastest point of the fastest collider or body counts; there is no entry if nothing moves.
@@ -112,16 +113,12 @@ def motion_steps(scene: Scene, colliders: list[Collider], extents: dict) -> np.n
     Args:
         scene: The scene.
         colliders: Its colliders.
-        extents: Corners [m] of bodies with prescribed motion, by the number of the object.
+        of_bodies: Motion of each body that moves, and its largest radius about the axis [m].
     """
     courses = [
         (c.course, c.course.max_radius(*c.ends())) for c in colliders if c.course is not None
     ]
-    for k, (low, high) in extents.items():
-        obj = scene.object[k]
-        if obj.motion is not None:
-            course = course_of(obj, low, high)
-            courses.append((course, course.max_radius(low, high)))
+    courses += of_bodies
     if not courses:
         return np.zeros(0)
     every = Trajectories([course for course, _ in courses])

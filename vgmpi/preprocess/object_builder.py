@@ -258,7 +258,7 @@ def _from_points(scene: Scene, k: int, obj: Object) -> BuiltObject:
 
     rgb = np.tile(obj.color, (len(x), 1)) if points.colors is None else points.colors
     cloud = isotropic_gaussians(x, edge, rgb, obj.opacity)
-    if points.velocities is not None and obj.driven:
+    if points.velocities is not None and scene.is_moved(k):
         message = "has velocities, which are not for a body with motion or release_time"
         raise PlacementError("points", message)
     v = None if points.velocities is None else rotate(transform.rotation, points.velocities)

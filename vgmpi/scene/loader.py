@@ -18,8 +18,8 @@ from vgmpi.runtime.message_text import did_you_mean
 from . import accuracy_presets
 from .gravity import validate_gravity
 from .object_files import find_object_file
-from .objects import Object, validate_body_name, validate_object, validate_release
-from .probes import Probe, collider_names, refuse_balance, validate_probe
+from .objects import Object, validate_body_name, validate_object
+from .probes import Probe, collider_names, validate_probe
 from .regions import validate_region_kinds
 from .rigid_objects import as_collider, validate_bodies, validate_rigid_probes, validate_rigid_scene
 from .scene import Scene, miscible_materials, phase_of
@@ -120,11 +120,6 @@ class SceneLoader:
             data.get("probe", []), "probe", Probe,
             lambda raw, probe: validate_probe(raw, probe, role, size, fluid, colliders),
         )  # fmt: skip
-        if any(obj and obj.driven for obj in objects):
-            message = (
-                "is not for scenes with bodies that are driven: what drives them is no part of it"
-            )
-            self.errors += refuse_balance(probes, message)
         for feature in features():
             self.errors += feature.check_probes(probes, read)
         self.errors += validate_rigid_probes(probes, objects, self.has_sources())
@@ -253,9 +248,6 @@ class SceneLoader:
             if obj and obj.passive_gaussians and material and not follows:
                 message = "is only for solids that deform: it rides along with their F"
                 self.report(("object", k, "passive_gaussians"), message)
-            if obj and material:
-                for key, message in validate_release(obj, material.family):
-                    self.report(("object", k, key), message)
             unknown = obj is None or (obj.material in kinds and material is None)
             if unknown or (material and material.family == "fluid"):
                 continue

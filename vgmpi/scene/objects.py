@@ -22,7 +22,6 @@ from vgmpi.runtime.config.schema import (
 from vgmpi.runtime.message_text import did_you_mean
 
 from .captures import Frame, Select, validate_select
-from .keyframes import Time
 from .point_sets import Points, as_table, validate_points
 from .regions import Region, validate_regions
 from .rigid_motion import Motion, validate_motion
@@ -37,15 +36,7 @@ PER_CELL = (1, 8, 27, 64)
 BODY_ONLY_KEYS = tuple(
     "material region velocity angular_velocity velocity_mode volume_fraction"
     " volume_fraction_profile initial_pressure subtract phase prune prune_scale passive_gaussians"
-    " track_deformation release_time release_order release_end_time".split()
-)
-# Keys that a body with prescribed motion cannot have: it neither moves freely nor shares space.
-KEYS_EXCLUDED_BY_MOTION = (
-    "velocity",
-    "angular_velocity",
-    "velocity_mode",
-    "volume_fraction",
-    "volume_fraction_profile",
+    " track_deformation".split()
 )
 
 
@@ -231,14 +222,6 @@ class Object(StrictModel):
     """prescribed motion of a collider or a body, independent of contact. A body with prescribed
     motion is rigid; when its motion ends it moves on freely, with its velocity at that time. A
     collider without it is at rest"""
-    release_time: Time | None = None
-    """bodies only, of any material: it stays fixed until this time, independent of contact, and is
-    then released. A load with this `start_time` can give it a velocity"""
-    release_order: Literal["bottom-up", "top-down"] | None = None
-    """frozen bodies except solids: released in layers of one cell, one after the other, from
-    `release_time` on. Default: all at once"""
-    release_end_time: Time | None = None
-    """with `release_order`: time at which the last layer is released"""
     friction: Annotated[float, Quantity("", ge=0)] | None = None
     """colliders only: Coulomb friction coefficient of all bodies on it. Default: that of each
     body's material"""
@@ -260,12 +243,6 @@ class Object(StrictModel):
     def source(self) -> str:
         """Return which of SOURCES it is made from."""
         return next(key for key in SOURCES if getattr(self, key) is not None)
-
-    @property
-    def driven(self) -> bool:
-        """Return whether it is a body with prescribed motion, or frozen for a time."""
-        moves = self.motion is not None or self.release_time is not None
-        return self.role == "body" and moves
 
     @property
     def speed(self) -> float:
@@ -364,41 +341,6 @@ def validate_object(raw: dict) -> list[tuple[tuple, str]]:
     errors = [error for error in errors if error[0] not in excluded] + rigid
     errors += [error for error in validate_regions(raw) if error[0] not in excluded]
     errors += validate_points(raw, scenery)
-    return errors + ([] if scenery else _validate_prescribed(raw))
-
-
-def _validate_prescribed(raw: dict) -> list[tuple[tuple, str]]:
-    """Return (path, message) for keys that exclude a body's motion, or its being frozen."""
-    errors: list[tuple[tuple, str]] = []
-    driven = [key for key in ("motion", "release_time") if key in raw]
-    if len(driven) > 1:
-        message = "motion and release_time given at once: give one"
-        errors.append((("release_time",), message))
-    for key in KEYS_EXCLUDED_BY_MOTION if driven else ():
-        if key not in raw:
-            continue
-        message = f"is not for a body with {driven[0]}: until it is let go it "
-        motion = "moves as that says" if driven[0] == "motion" else "stays where it is"
-        message += "shares its space with none" if "volume_fraction" in key else motion
-        if key in ("velocity", "angular_velocity") and driven == ["release_time"]:
-            message += f"; [[load]] delta_{key} with start_time = release_time gives it one then"
-        errors.append(((key,), message))
-    for key, other in (("release_order", "release_time"), ("release_end_time", "release_order")):
-        if key in raw and other not in raw:
-            errors.append(((key,), f"is only for bodies with {other}"))
-    if "release_order" in raw and "release_end_time" not in raw:
-        errors.append((("release_order",), "needs release_end_time: when the last layer is let go"))
-    return errors
-
-
-def validate_release(obj: Object, family: str) -> list[tuple[str, str]]:
-    """Return (key, message) for what forbids releasing a body of a material family in layers."""
-    errors, first, last = [], obj.release_time, obj.release_end_time
-    if obj.release_order is not None and family == "solid":
-        errors.append(("release_order", "is not for solids: their layers would come apart"))
-    if first is not None and last is not None and last <= first:
-        message = f"must be later than release_time = {first:g} s; got {last:g} s"
-        errors.append(("release_end_time", message))
     return errors
 
 

@@ -161,7 +161,7 @@ def collider_names(objects: list[Object | None]) -> list[str] | None:
 
 def _is_rigid(obj: Object) -> bool:
     """Return whether nothing deflects it."""
-    return obj.collider or obj.driven or any(each.has_force(obj) for each in features())
+    return obj.collider or any(each.has_force(obj) for each in features())
 
 
 def _validate_collider_name(
@@ -171,10 +171,8 @@ def _validate_collider_name(
     if name is None or role is None or colliders is None or name in colliders:
         return ""
     if name in role:
-        sources = "".join(f", or {each.force_source}" for each in features() if each.force_source)
-        return (
-            f"'{name}' is no collider: scenery with collider = true is, and a body with motion or"
-            f" release_time{sources}"
-        )
+        sources = [each.force_source for each in features() if each.force_source]
+        others = ", or ".join(sources)
+        return f"'{name}' is no collider: scenery with collider = true is, and {others}"
     valid = f"known: {', '.join(colliders)}" if colliders else "there is none"
     return f"there is no collider '{name}'{did_you_mean(name, colliders)}; {valid}"

@@ -230,6 +230,15 @@ def spin_tensor(spin: Sequence[float] | np.ndarray) -> list[float]:
     return [0.0, -z, y, z, 0.0, -x, -y, x, 0.0]
 
 
+def course_of(motion: Motion, low, high) -> Trajectory:
+    """Return the motion of a body whose particles lie between two corners, shape (3,) [m].
+
+    The body rotates about the center of that box unless its motion says otherwise.
+    """
+    x, y, z = (float(a + b) / 2 for a, b in zip(low, high, strict=True))
+    return Trajectory(motion, motion.pivot or (x, y, z))
+
+
 def validate_motion(raw: Any, path: tuple) -> list[tuple[tuple, str]]:
     """Return (path, message) for errors of a motion besides its values."""
     if not isinstance(raw, dict):

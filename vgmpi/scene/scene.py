@@ -11,7 +11,7 @@ from vgmpi.runtime.config.toml_source import TomlSource
 
 from .objects import Object
 from .probes import Probe
-from .scene_feature import ParticleSource, features, source_lists
+from .scene_feature import ParticleSource, features, phases_of_features, source_lists
 from .sections import SECTIONS, Accuracy, Appearance, Domain, Output, Time
 
 DEFAULT_CFL, SMALL_CFL = 0.55, 0.4  # [-] default CFL number, and that of `courant_number`'s cases
@@ -98,6 +98,10 @@ class Scene:
     def is_free_of_waves(self) -> bool:
         """Return whether a feature frees the steps of their bound by waves."""
         return any(feature.removes_wave_bound(self) for feature in features())
+
+    def is_moved(self, k: int) -> bool:
+        """Return whether a feature prescribes the motion of an object, perhaps for a time."""
+        return any(k in rows for rows in phases_of_features(self).values())
 
     def material_of(self, obj: Object) -> Any:
         """Return the material of a body."""

@@ -20,10 +20,11 @@ from vgmpi.runtime.config.schema import Color, Share, StrictModel
 from .objects import Object, checked_name, default_alpha_min, per_cell
 from .sections import SECTIONS
 
-# In the order in which they act and plan. It numbers groups and orders sums: part of the results.
+# In the order in which they act, and plan but for `moves_bodies`. It numbers groups and orders
+# sums: part of the results.
 FEATURES = (
-    "wave_zones", "loads", "implicit_pressure", "surface_slip", "pinned_parts", "rigid_bodies",
-    "reactions", "inlets_outlets", "thin_walls",
+    "wave_zones", "loads", "moving_colliders", "implicit_pressure", "surface_slip", "pinned_parts",
+    "rigid_bodies", "prescribed_motion", "reactions", "inlets_outlets", "releases", "thin_walls",
 )  # fmt: skip
 
 Errors = list[tuple[tuple, str]]  # (path of a key, message)
@@ -66,7 +67,6 @@ class ParticleSource(StrictModel):
     track_deformation: ClassVar[bool | None] = None
     motion: ClassVar[None] = None
     free_body: ClassVar[None] = None
-    driven: ClassVar[bool] = False
 
     @property
     def alpha_threshold(self) -> float:
@@ -117,6 +117,7 @@ class SceneFeature:
         lists: Lists of tables that it adds at the top, by name.
         missing_engines: Engines that cannot run it.
         pushes_alone: Whether it does no more than to push particles before a step.
+        moves_bodies: Whether it gives whole bodies groups of their own: it plans before others.
         hints: What messages add on the help that it gives, by problem: "open mesh".
     """
 
@@ -127,7 +128,7 @@ class SceneFeature:
     section_keys: Mapping[str, type[StrictModel]] = {}
     lists: Mapping[str, TableList] = {}
     missing_engines: tuple[str, ...] = ()
-    pushes_alone = False
+    pushes_alone = moves_bodies = False
     hints: Mapping[str, str] = {}
 
     def keys_of(self, obj: Object) -> list[str]:
@@ -271,6 +272,13 @@ class SceneFeature:
         """
         return []
 
+    def phases(self, scene: Any) -> dict[str, tuple[int, ...]]:
+        """Return the rows of bodies that have a phase of their own for a time, by its name.
+
+        The feature prescribes the velocity of these phases.
+        """
+        return {}
+
     def build_particles(self, scene: Any) -> list:
         """Return the particles of each of its particle sources, as a `BuiltObject`."""
         return []
@@ -350,6 +358,11 @@ def table_lists() -> dict[str, TableList]:
 def source_lists() -> list[str]:
     """Return the names of the lists whose items are particle sources."""
     return [name for name, tables in table_lists().items() if tables.holds_particles]
+
+
+def phases_of_features(scene: Any) -> dict[str, tuple[int, ...]]:
+    """Return the rows of bodies of each phase whose velocity a feature prescribes, by its name."""
+    return {name: rows for each in features() for name, rows in each.phases(scene).items()}
 
 
 def check_object(raw: dict) -> Errors:

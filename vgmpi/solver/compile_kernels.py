@@ -164,12 +164,11 @@ def _run_all(plan: Plan, calls: list[tuple] | None = None) -> None:
         calls: If given, the kernels of the step are not called but appended, with their arguments.
     """
     _run(plan, calls)
-    if plan.driven:
-        group_of = list(plan.group_of)
-        for body in plan.driven:
-            for k in body.objects:
-                group_of[k] = body.group_after_release
-        _run(replace(plan, group_of=tuple(group_of)), calls)
+    groups = dict(enumerate(plan.group_of))
+    for feature in plan.features:
+        groups |= feature.groups_after_release()
+    if (group_of := tuple(groups.values())) != plan.group_of:
+        _run(replace(plan, group_of=group_of), calls)
 
 
 def _run(plan: Plan, calls: list[tuple] | None) -> None:

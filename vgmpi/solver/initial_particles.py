@@ -17,12 +17,11 @@ from vgmpi.io.run_reader import RunError, opened, read_gaussians
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.planning.color_exchange import coefficient_ranges
 from vgmpi.planning.plan import Plan, make_plan
-from vgmpi.planning.prescribed_bodies import Extents
-from vgmpi.planning.proximity import Proximity
 from vgmpi.planning.region_groups import region_plans
+from vgmpi.planning.step_costs import Proximity
 from vgmpi.preprocess.initial_conditions import closed_box_tensions, liquid_weights
 from vgmpi.preprocess.meshes import triangle_mesh
-from vgmpi.preprocess.motion_checks import extent, motion_steps
+from vgmpi.preprocess.motion_checks import motion_steps
 from vgmpi.preprocess.setting_checks import holding_walls
 from vgmpi.scene.scene import Scene
 from vgmpi.scene.scene_feature import InitialParticles, feature_folders, prepare_features
@@ -42,7 +41,6 @@ class ParticleSummary:
     shades: np.ndarray | None = None  # coefficient ranges of the transported colors
     thickness: tuple[float, ...] = ()  # [m] see plan.Plan
     surroundings: tuple[Proximity, ...] = ()
-    extents: Extents = field(default_factory=dict)  # of the bodies with prescribed motion
     weights: tuple[float, ...] = ()  # [Pa] see plan.Plan
     tensions: tuple[float, ...] = ()  # [Pa] see plan.Plan
     features: dict[str, Any] = field(default_factory=dict)  # prepared data of features, by name
@@ -227,11 +225,6 @@ def _summary_of(scene, objects, particles, x, colliders) -> ParticleSummary:
         coefficient_ranges(len(objects), particles.object, particles.sh) if colors_travel else None
     )
     thickness = _thicknesses(objects, x, total)
-    extents = {
-        k: extent(x[objects[k]["first_row"] :][: objects[k]["row_count"]])
-        for k, body in enumerate(scene.object)
-        if body.driven
-    }
     proximity = surroundings(scene, objects, x, colliders)
     return ParticleSummary(
         objects,
@@ -241,7 +234,6 @@ def _summary_of(scene, objects, particles, x, colliders) -> ParticleSummary:
         color_ranges,
         thickness,
         proximity,
-        extents,
         liquid_weights(scene, objects, x),
         closed_box_tensions(scene, objects, x, volume),
         holding_walls=holding_walls(scene, objects, x),
@@ -281,9 +273,10 @@ def plan_for(scene: Scene, summary: ParticleSummary) -> Plan:
     surface = [bool(entry.get("surface")) for entry in summary.objects]
     plan = make_plan(
         scene, summary.count, summary.volume, colliders, summary.center, summary.shades, surface,
-        summary.extents, summary.features,
+        summary.features,
     )  # fmt: skip
-    steps = motion_steps(scene, summary.colliders, summary.extents)
+    courses = [course for feature in plan.features for course in feature.courses()]
+    steps = motion_steps(scene, summary.colliders, courses)
     return replace(
         plan, thickness=summary.thickness, surroundings=summary.surroundings,
         volumes=tuple(summary.volume), weights=summary.weights, tensions=summary.tensions,

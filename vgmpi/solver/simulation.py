@@ -4,11 +4,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from vgmpi.features.active_feature import ActiveFeature, StartContext
+from vgmpi.features.active_feature import ActiveFeature, StartContext, start_features
 from vgmpi.features.particle_insertion import ParticleRows, insert_particles
-from vgmpi.features.start_features import start_features
 from vgmpi.kernels.colliders.moving_colliders import place_colliders
-from vgmpi.kernels.rigid.prescribed_motion import PrescribedBodies
 from vgmpi.kernels.step_records import (
     UNKNOWN_MAXIMA,
     AccumulatorOverflow,
@@ -26,6 +24,7 @@ from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.halo_exchange import GridExchange, HaloExchange
 from vgmpi.parallel.load_balance import SHARES, RankPace
 from vgmpi.parallel.particle_group import ParticleGroup
+from vgmpi.planning.feature_plan import first_reaction_rows
 from vgmpi.planning.plan import Plan
 from vgmpi.solver.engines.engine_protocol import Engine
 from vgmpi.solver.engines.plan_tables import topology_requirements
@@ -56,7 +55,9 @@ class Simulation:
         free = next((bodies for bodies in moved if bodies is not None), None)
         placed = place_colliders(list(colliders), self.lattice, plan.real, per_collider, free)
         movers, self.collider_nodes = placed
-        prescribed = PrescribedBodies(plan, len(colliders)) if plan.driven else None
+        rows = first_reaction_rows(plan.features, len(colliders))
+        motions = (feature.phase_motions(plan, rows[feature.name]) for feature in plan.features)
+        prescribed = next((each for each in motions if each is not None), None)
         self.engine: Engine = engine_of(engine)(
             plan, self.lattice, self.collider_nodes, threads, prescribed
         )
@@ -64,8 +65,8 @@ class Simulation:
         self.features: dict[str, ActiveFeature] = {}
         context = StartContext(
             plan, self.lattice, ranks, self.groups, colliders, self.collider_nodes, movers,
-            prescribed, threads, len(colliders) + len(plan.driven), self.features,
-            self.engine, self.insert, self.find_particles,
+            prescribed, threads, len(colliders), self.features, self.engine, self.insert,
+            self.find_particles,
         )  # fmt: skip
         start_features(context, self.features)
         self.engine.features = self.features

@@ -133,7 +133,6 @@ def obstacles(
     for k, obj in enumerate(scene.object):
         values = {
             "collider": obj.collider, "rigid": obj.rigid, "motion": obj.motion,
-            "release_time": obj.release_time,
             **{key: True for feature in features() for key in feature.keys_of(obj)},
         }  # fmt: skip
         for key, value in values.items():

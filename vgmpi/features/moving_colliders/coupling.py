@@ -66,8 +66,3 @@ class ColliderMotion(ActiveFeature):
     def needs_sort(self, span: StepSpan, maxima: StepMaxima) -> bool:
         """Return whether the blocks near colliders have to be searched again."""
         return self.colliders.left_safe_range(span.end)
-
-
-def start(context: StartContext) -> ColliderMotion | None:
-    """Return the moving colliders of a run, or None if it has none."""
-    return None if context.movers is None else ColliderMotion(context)

@@ -26,7 +26,7 @@ from vgmpi.kernels.step_records import StepMaxima, StepSpan
 from vgmpi.kernels.wall_boundary import stopped_axes
 from vgmpi.parallel.block_ownership import BlockDirectory
 from vgmpi.parallel.exchange_topology import GRADIENTS, ExchangeTopology
-from vgmpi.planning.prescribed_bodies import TIME_TOLERANCE
+from vgmpi.planning.feature_plan import TIME_TOLERANCE
 from vgmpi.runtime.jit import device_function, kernel
 
 from .plan import CARRIER, PinnedPartsPlan
@@ -104,7 +104,7 @@ class PinnedCoupling(MovingColliders, ActiveFeature):
         self.phases = np.isin(np.arange(len(context.plan.phases)), self.phase)
         self.rows = np.array(plan.reaction_rows(context.first_reaction_row))
         objects = [part.object for part in self.parts]
-        self.first_parts = [objects.index(k) for k, _ in plan.reaction_bodies()]
+        self.first_parts = [objects.index(k) for (k,), _ in plan.reaction_bodies()]
         self.thread_rows: list[np.ndarray] = []
         self.threads, self.count = context.threads, 0
         self.pinned = no_pinned_nodes(0)  # the nodes next to parts, `count` of them

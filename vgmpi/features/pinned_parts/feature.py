@@ -134,7 +134,7 @@ class PinnedParts(SceneFeature):
     """Pinned parts in the tables of a scene."""
 
     name, title = "pinned_parts", "pinned parts"
-    force_source = "one that is pinned to the world"
+    force_source = "a body that is pinned to the world"
     object_keys, sections, makes_particles = ObjectKeys, {"pinned": PinnedPart}, True
     missing_engines = ("cuda",)
 

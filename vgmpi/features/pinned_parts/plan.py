@@ -6,10 +6,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from vgmpi.parallel.exchange_topology import GRADIENTS
-from vgmpi.planning.feature_plan import BodyPart, FeaturePlan
+from vgmpi.planning.feature_plan import BodyPart, FeaturePlan, ReleasedParticles, ReleaseLayer
 from vgmpi.planning.phases_and_groups import GroupPlan
 from vgmpi.planning.plan import Plan
-from vgmpi.planning.prescribed_bodies import PrescribedBodyPlan, ReleaseLayer
 from vgmpi.runtime.config.toml_source import escape_control_characters
 
 # [-] cost of a pinned particle relative to a fluid's, python -m tests.benchmarks bodies --pins
@@ -64,24 +63,23 @@ class PinnedPartsPlan(FeaturePlan):
                 run = np.searchsorted(own.runs[:, 0], ids, side="right") - 1
                 groups[(run >= 0) & (ids <= own.runs[run, 1])] = group
 
-    def released_parts(self) -> list[PrescribedBodyPlan]:
-        """Return the parts that let go at a time, by groups, as bodies that are released."""
+    def released_particles(self) -> list[ReleasedParticles]:
+        """Return the particles of parts that let go at a time, by groups."""
         return [
-            PrescribedBodyPlan(
-                (part.object,), group, released, part.region.course, (0.0,) * 3, 0.0,
-                (ReleaseLayer(part.region.release_time, -np.inf, np.inf),),
+            ReleasedParticles(
+                group, released, part.region.course, (ReleaseLayer(part.region.release_time),)
             )
             for part in self.pinned
             if part.region.release_time < np.inf
             for group, released in zip(part.groups, part.groups_after_release, strict=True)
         ]  # fmt: skip
 
-    def reaction_bodies(self) -> list[tuple[int, tuple[float, ...]]]:
+    def reaction_bodies(self) -> list[tuple[tuple[int, ...], tuple[float, ...]]]:
         """Return the bodies that the world holds, with the center of mass of their first parts."""
-        centers: dict[int, tuple[float, ...]] = {}
+        centers: dict[tuple[int, ...], tuple[float, ...]] = {}
         for part in self.pinned:
             if part.region.holder < 0:
-                centers.setdefault(part.object, tuple(part.region.masses.center))
+                centers.setdefault((part.object,), tuple(part.region.masses.center))
         return list(centers.items())
 
     def reaction_rows(self, first_row: int) -> list[int]:
@@ -92,7 +90,7 @@ class PinnedPartsPlan(FeaturePlan):
         Args:
             first_row: Row of the first body that the world holds.
         """
-        bodies = [k for k, _ in self.reaction_bodies()]
+        bodies = [k for (k,), _ in self.reaction_bodies()]
         rows = []
         for part in self.pinned:
             if part.region.holder < 0:

@@ -13,6 +13,7 @@ from vgmpi.features.active_feature import ActiveFeature, StartContext
 from vgmpi.io.checkpoint import Checkpoint, Mismatch, is_number
 from vgmpi.kernels.reaction_impulses import NUMBERS, WALLS
 from vgmpi.kernels.step_records import ParticleBounds, StepReport, StepSpan
+from vgmpi.planning.feature_plan import first_reaction_rows
 from vgmpi.planning.plan import Plan
 from vgmpi.planning.region_groups import group_counts
 
@@ -24,8 +25,8 @@ class Reactions(ActiveFeature):
     """Reactions of rigid boundaries on the deformable bodies.
 
     `totals` has the shape (rows, 7): impulse on the bodies [kg m/s], its moment about the row's
-    reference point [kg m2/s], and work [J]. Rows: colliders in the order of the scene, prescribed
-    bodies, bodies of features, then the walls west, east, south, north, floor, roof. The reference
+    reference point [kg m2/s], and work [J]. Rows: colliders in the order of the scene, bodies
+    of features, then the walls west, east, south, north, floor, roof. The reference
     point of a moving collider or of a prescribed body is the current place of its center of
     rotation; that of a collider at rest is the middle of its extent, that of a wall its middle.
     `mass` [kg] bounds the mass of all deformable bodies.
@@ -35,18 +36,14 @@ class Reactions(ActiveFeature):
         """Set up one row per collider, prescribed body and wall."""
         plan, colliders = context.plan, context.colliders
         self.plan, self.ranks, self.groups = plan, context.ranks, context.groups
-        self.movers, self.prescribed = context.movers, context.prescribed
-        self.features, self.engine = context.features, context.engine
+        self.movers, self.features, self.engine = context.movers, context.features, context.engine
         self.colliders = [collider.name for collider in colliders]
         self.moving = [m for m, collider in enumerate(colliders) if collider.course is not None]
-        driven = [body.about for body in plan.driven]
         bodies = [body for feature in plan.features for body in feature.reaction_bodies()]
-        self.bodies_of_features = [k for k, _ in bodies]
+        self.objects_of_features = [objects for objects, _ in bodies]
         centers = [center for _, center in bodies]
-        self.points = np.array(
-            [*map(_reference_point, colliders), *driven, *centers, *_wall_centers(plan)]
-        )
-        self.first_row_of_features = len(self.colliders) + len(plan.driven)
+        self.points = np.array([*map(_reference_point, colliders), *centers, *_wall_centers(plan)])
+        self.first_rows = first_reaction_rows(plan.features, len(self.colliders))
         self.totals = np.zeros((len(self.points), NUMBERS))
         self.quanta = np.ones(NUMBERS)
         self.mass = 0.0
@@ -84,23 +81,17 @@ class Reactions(ActiveFeature):
         """Return the row of a collider by name, or of another body by its number."""
         if name in self.colliders:
             return self.colliders.index(name)
-        if number in self.bodies_of_features:
-            return self.first_row_of_features + self.bodies_of_features.index(number)
-        rows = [k for k, body in enumerate(self.plan.driven) if number in body.objects]
+        rows = [k for k, objects in enumerate(self.objects_of_features) if number in objects]
         return len(self.colliders) + rows[0]
 
     def end_step(self, span: StepSpan, report: StepReport) -> StepReport:
         """Add the reactions of one step."""
         reaction = self.ranks.sum(self.engine.take_reactions()) * self.quanta
         points = self.points.copy()
-        if self.prescribed is not None:
-            motions = self.prescribed.motions
-            phases = [self.plan.groups[body.group].phase for body in self.plan.driven]
-            points[motions.row[phases]] = motions.about[phases]
-        row = self.first_row_of_features
-        for rows in (feature.reaction_points() for feature in self.features.values()):
-            points[row : row + len(rows)] = rows
-            row += len(rows)
+        for name, row in self.first_rows.items():
+            if name in self.features:
+                present = self.features[name].reaction_points()
+                points[row : row + len(present)] = present
         if self.movers is not None:
             table = self.movers.table
             points[self.moving] = (table.about + table.move)[self.moving]

@@ -7,8 +7,10 @@ from vgmpi.features.particle_insertion import bounds_of_particles, remove_partic
 from vgmpi.kernels.step_records import ParticleBounds, StepMaxima, StepSpan
 from vgmpi.parallel.migration import append_particles
 from vgmpi.parallel.particle_group import ParticleGroup
-from vgmpi.planning.prescribed_bodies import TIME_TOLERANCE, PrescribedBodyPlan, ReleaseLayer
+from vgmpi.planning.feature_plan import TIME_TOLERANCE, ReleasedParticles, ReleaseLayer
 from vgmpi.scene.rigid_motion import Trajectories, Trajectory, spin_tensor
+
+from .plan import ReleasesPlan
 
 
 class Releases(ActiveFeature):
@@ -17,28 +19,26 @@ class Releases(ActiveFeature):
     They depend on the time alone, so all ranks release together. A sort must follow a release.
     """
 
-    def __init__(self, context: StartContext):
+    def __init__(self, releases: ReleasesPlan, context: StartContext):
         """Sort the release layers by time."""
-        plan = self.plan = context.plan
+        self.plan, self.wall_opening_times = context.plan, releases.wall_opening_times
         self.ranks, self.groups, self.engine = context.ranks, context.groups, context.engine
         self.features = context.features
         self.has_released = False  # in the present step
-        parts = [part for feature in plan.features for part in feature.released_parts()]
-        bodies = [*plan.driven, *parts]
         self.layers = sorted(
-            ((layer, body) for body in bodies for layer in body.layers),
+            ((layer, each) for each in releases.particles for layer in each.layers),
             key=lambda pair: pair[0].time,
         )
 
     def next(self, time: float) -> float:
         """Return the time [s] of the next release after `time`; infinite if there is none."""
         times = [layer.time for layer, _ in self.layers]
-        times += [opens for opens in self.plan.wall_opening_times if opens is not None]
+        times += [opens for opens in self.wall_opening_times if opens is not None]
         return min((event for event in times if event > time * TIME_TOLERANCE), default=np.inf)
 
     def open_walls(self, time: float) -> None:
         """Open the walls that have vanished by `time` [s]."""
-        for wall, opens in enumerate(self.plan.wall_opening_times):
+        for wall, opens in enumerate(self.wall_opening_times):
             if opens is not None and opens <= time * TIME_TOLERANCE:
                 self.engine.open(wall)
 
@@ -56,12 +56,14 @@ class Releases(ActiveFeature):
         self.has_released = self.due(span.start, span.end)
         if not self.has_released:
             return bounds
-        self.correction_origin, released = span.number, ParticleBounds()
+        self.correction_origin, bounds_of_released = span.number, ParticleBounds()
         self.open_walls(span.end)
-        for layer, body in self.layers:
+        for layer, particles in self.layers:
             if span.start * TIME_TOLERANCE < layer.time <= span.end * TIME_TOLERANCE:
-                released = released.merge(self._release_layer(self.groups, layer, body))
-        return bounds.merge(ParticleBounds(*self.ranks.max(np.array(released)).tolist()))
+                bounds_of_released = bounds_of_released.merge(
+                    self._release_layer(self.groups, layer, particles)
+                )
+        return bounds.merge(ParticleBounds(*self.ranks.max(np.array(bounds_of_released)).tolist()))
 
     def needs_sort(self, span: StepSpan, maxima: StepMaxima) -> bool:
         """Return whether something was released in the step."""
@@ -82,21 +84,21 @@ class Releases(ActiveFeature):
         self.open_walls(time)
 
     def _release_layer(
-        self, groups: list[ParticleGroup], layer: ReleaseLayer, body: PrescribedBodyPlan
+        self, groups: list[ParticleGroup], layer: ReleaseLayer, released: ReleasedParticles
     ) -> ParticleBounds:
         """Move the particles of a release layer to the group that their body joins.
 
         Returns:
             Their bounds.
         """
-        group, target = groups[body.group], groups[body.group_after_release]
+        group, target = groups[released.group], groups[released.group_after_release]
         indices = group.index()
         height = group.positions_at(indices)[:, 2]
         indices = indices[(layer.low <= height) & (height < layer.high)]
         if not len(indices):
             return ParticleBounds()
-        if body.course is not None:
-            _launch(group, indices, body.course, layer.time)
+        if released.course is not None:
+            _launch(group, indices, released.course, layer.time)
         elif group.plan.carrier:  # a load may have changed what nothing reads
             group.put("v", indices, np.zeros((len(indices), 3)))
             group.put("C", indices, np.zeros((len(indices), 9)))
@@ -111,13 +113,8 @@ class Releases(ActiveFeature):
         append_particles(target, block, xi, channels, ids)
         volume = channels[group.plan.channels["vol0"].first]
         for feature in self.features.values():
-            feature.count_transferred(body.group, body.group_after_release, volume)
+            feature.count_transferred(released.group, released.group_after_release, volume)
         return limits
-
-
-def start(context: StartContext) -> Releases | None:
-    """Return the releases of a run, or None if nothing is released."""
-    return Releases(context) if context.plan.has_releases else None
 
 
 def _launch(group: ParticleGroup, indices: np.ndarray, course: Trajectory, time: float) -> None:

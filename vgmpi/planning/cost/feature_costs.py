@@ -1,4 +1,4 @@
-"""Cost of each feature of a scene per particle and step: time on this processor, and memory."""
+"""Cost of each feature of a scene per particle and step, and of a step besides its particles."""
 
 from dataclasses import astuple
 from typing import NamedTuple
@@ -15,6 +15,12 @@ from .throughput import Throughput
 
 PARTICLES_PER_BLOCK = 300  # mean of the cube with which a throughput is measured
 MIN_BLOCK_COST = 0.02  # [-] of a fluid's step, below which emptier blocks have no line
+
+# [s] of processor time, from pilot runs (`python -m tests.benchmarks predictions`)
+STEP_SECONDS = 1e-4  # a step of one phase (`python -m tests.benchmarks overhead`)
+PHASE_SECONDS = 1.5e-4  # each further phase
+COLLIDER_SECONDS = 1.5e-4  # a collider at rest
+MOVING_COLLIDER_SECONDS = 1.5e-3  # one that moves
 
 
 class Feature(NamedTuple):
@@ -216,6 +222,25 @@ def step_ns(scene: Scene, plan: Plan, pace: Throughput, coarsening: float = 1.0)
         scene, plan, pace, coarsening: See `step_time`.
     """
     return step_time(scene, plan, pace, COSTS, coarsening).total
+
+
+def step_overhead(scene: Scene, plan: Plan) -> float:
+    """Return the processor time [s] of a step besides its particles.
+
+    Args:
+        scene: The scene.
+        plan: Its plan.
+    """
+    colliders = [obj for obj in scene.object if obj.collider]
+    moving = sum(obj.motion is not None for obj in colliders)
+    moving += sum(feature.moved_colliders for feature in plan.features)
+    return (
+        STEP_SECONDS
+        + PHASE_SECONDS * max(len(plan.phases) - 1, 0)
+        + COLLIDER_SECONDS * (len(colliders) - moving)
+        + MOVING_COLLIDER_SECONDS * moving
+        + sum(feature.step_seconds for feature in plan.features)
+    )
 
 
 def _rows(plan: Plan, g: int) -> list[int]:

@@ -8,11 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from vgmpi.planning.plan import Plan
-from vgmpi.planning.proximity import Proximity
+from vgmpi.planning.step_costs import Proximity
 from vgmpi.scene.scene import Scene
 
-from .feature_costs import step_ns
-from .step_overhead import STEP_SECONDS
+from .feature_costs import STEP_SECONDS, step_ns
 from .throughput import Throughput
 
 TimeFunction = Callable[[float], float]

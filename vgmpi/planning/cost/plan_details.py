@@ -37,7 +37,7 @@ def plan_details(scene: Scene, plan: Plan, pace: Throughput) -> list[str]:
         pace: Throughput of the processors.
     """
     lines = [f"  precision   {scene.accuracy.precision}: {PRECISION[scene.accuracy.precision]}"]
-    lines += _phases(plan) + _regions(scene, plan) + _couplings(plan) + _walls(plan)
+    lines += _phases(plan) + _regions(scene, plan) + _couplings(plan) + _walls(scene, plan)
     lines += [line for feature in plan.features for line in feature.report_lines(plan)]
     lines += _accuracy_notes(scene, plan)
     return lines + preset_accuracy_lines(scene) + feature_table(scene, plan, pace)
@@ -73,7 +73,7 @@ def _couplings(plan: Plan) -> list[str]:
     return lines
 
 
-def _walls(plan: Plan) -> list[str]:
+def _walls(scene: Scene, plan: Plan) -> list[str]:
     """Return the lines about the walls of the domain."""
     is_liquid = [phase.is_liquid for phase in plan.phases]
     walls = []
@@ -81,9 +81,8 @@ def _walls(plan: Plan) -> list[str]:
         kind = plan.walls[k][0]
         if kind != wall and any(is_liquid):
             wall = kind if all(is_liquid) else f"{kind} for liquids and {wall} for the rest"
-        time = (
-            "" if plan.wall_opening_times[k] is None else f" until {plan.wall_opening_times[k]:g} s"
-        )
+        removal = scene.domain.wall_opening_times[k]
+        time = "" if removal is None else f" until {removal:g} s"
         walls.append(wall + (f" (friction {friction:g})" if friction else "") + time)
     return ["  walls       " + ", ".join(walls)]
 

@@ -8,9 +8,8 @@ import numpy as np
 from vgmpi.planning.plan import Plan, time_step_bounds
 from vgmpi.scene.scene import Scene
 
-from .feature_costs import PARTICLES_PER_BLOCK, step_ns
+from .feature_costs import PARTICLES_PER_BLOCK, step_ns, step_overhead
 from .pilot_result import PilotRun
-from .step_overhead import step_overhead
 from .throughput import Throughput
 
 # [s] time to write a frame, and a particle in it (a run's `--profile`: write)

@@ -135,7 +135,8 @@ def rigid_clause(scene: Scene, plan: Plan, name: str) -> str:
     rows = [k for k, obj in enumerate(scene.object) if name in scene.materials_of(obj)]
     if any(scene.object[k].region for k in rows):
         return ""
-    if not rows or any(scene.object[k].driven or plan.group_of[k] < 0 for k in rows):
+    moved = {k for feature in plan.features for k in feature.groups_after_release()}
+    if not rows or any(k in moved or plan.group_of[k] < 0 for k in rows):
         return ""
     stiff = min(plan.stiff[plan.groups[plan.group_of[k]].phase] for k in rows)
     depth, speed = plan.cells[2] * plan.dx, max(obj.speed for obj in scene.object)

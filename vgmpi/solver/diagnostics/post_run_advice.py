@@ -113,8 +113,9 @@ def _scenery_advice(scene: Scene, plan: Plan, observed: RunObserver) -> list[str
     lines = []
     for p, phase in enumerate(plan.phases):
         mass = observed.mass.get(phase.name, 0.0)
-        prescribed = any(k in driven.objects for driven in plan.driven for k in phase.objects)
-        if phase.families != ("solid",) or prescribed or mass <= 0.0:
+        later = (feature.groups_after_release() for feature in plan.features)
+        is_released = any(not groups.keys().isdisjoint(phase.objects) for groups in later)
+        if phase.families != ("solid",) or is_released or mass <= 0.0:
             continue
         density = max(g.density for g in plan.groups if g.phase == p)
         displacement = math.sqrt(2.0 * max(observed.kinetic[phase.name], 0.0) / mass) * end

@@ -156,7 +156,8 @@ class Probes:
         plan = self.simulation.plan
         k = [obj.name for obj in self.scene.object].index(probe.object)
         members = [plan.group_of[k]]
-        members += [body.group_after_release for body in plan.driven if k in body.objects]
+        later = (feature.groups_after_release() for feature in plan.features)
+        members += [groups[k] for groups in later if k in groups]
         members += sorted({region.group for region in plan.regions if region.object == k})
         parts = [part for feature in plan.features for part in feature.parts()]
         members += [part.group for part in parts if part.object == k]

@@ -7,7 +7,7 @@ import numpy as np
 from vgmpi.features.active_feature import ActiveFeature, NodeState
 from vgmpi.kernels.kernel_arguments import NodeBlocks, Step, Sums
 from vgmpi.kernels.reaction_impulses import GhostNodes
-from vgmpi.kernels.rigid.prescribed_motion import PrescribedBodies
+from vgmpi.kernels.rigid.prescribed_motion import PhaseMotions
 from vgmpi.kernels.step_records import AccumulatorOverflow
 from vgmpi.kernels.transfer.particle_shifting import NodeFill, ShiftConstants
 from vgmpi.kernels.wall_boundary import patch_codes
@@ -48,7 +48,7 @@ class CompiledEngine(KernelCaller):
     def __init__(
         self, plan: Plan, lattice: BlockLattice, solids: CollidersAtNodes | None,
         threads: int = 1,
-        driven: PrescribedBodies | None = None,
+        driven: PhaseMotions | None = None,
     ):  # fmt: skip
         super().__init__(threads)
         self.plan, self.solids, self.driven = plan, solids, driven

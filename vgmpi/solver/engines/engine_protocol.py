@@ -23,7 +23,7 @@ import numpy as np
 from vgmpi.features.active_feature import ActiveFeature, EngineServices, NodeState
 from vgmpi.kernels.colliders.moving_colliders import MovingColliders
 from vgmpi.kernels.colliders.static_colliders import StaticColliders
-from vgmpi.kernels.rigid.prescribed_motion import PrescribedBodies
+from vgmpi.kernels.rigid.prescribed_motion import PhaseMotions
 from vgmpi.kernels.step_records import AccumulatorOverflow, StepReport
 from vgmpi.kernels.transfer.particle_shifting import ShiftConstants
 from vgmpi.parallel.block_lattice import BlockLattice
@@ -50,7 +50,7 @@ class Engine(EngineServices, Protocol):
     def __init__(
         self, plan: Plan, lattice: BlockLattice, solids: CollidersAtNodes | None,
         threads: int,
-        driven: PrescribedBodies | None = None,
+        driven: PhaseMotions | None = None,
     ): ...  # fmt: skip
 
     def set_topology(self, tables: ExchangeTopology, unchanged: bool) -> None:

@@ -8,7 +8,7 @@ from vgmpi.kernels.grid.divided_nodes import Phases
 from vgmpi.kernels.grid.mixture_workspace import mixture_tables
 from vgmpi.kernels.grid.update import RigidBoundaries
 from vgmpi.kernels.kernel_arguments import Walls
-from vgmpi.kernels.rigid.prescribed_motion import NO_PRESCRIBED_BODIES, PrescribedBodies
+from vgmpi.kernels.rigid.prescribed_motion import NO_PRESCRIBED_BODIES, PhaseMotions
 from vgmpi.kernels.transfer.particle_shifting import NodeFill
 from vgmpi.kernels.wall_boundary import KINDS, SEPARATE, YIELDING
 from vgmpi.materials.couplings.interaction import CONTACT, MIXING
@@ -33,7 +33,7 @@ class PlanTables(NamedTuple):
 
 
 def plan_tables(
-    plan: Plan, prescribed: PrescribedBodies | None, colliders: CollidersAtNodes | None
+    plan: Plan, prescribed: PhaseMotions | None, colliders: CollidersAtNodes | None
 ) -> PlanTables:
     """Return the tables of a plan.
 

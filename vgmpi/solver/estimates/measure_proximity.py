@@ -6,9 +6,9 @@ import numpy as np
 
 from vgmpi.kernels.colliders.static_colliders import SDF_BAND_CELLS
 from vgmpi.parallel.block_lattice import BLOCK_EDGE, BlockLattice
-from vgmpi.planning.prescribed_bodies import prescribed_phases
-from vgmpi.planning.proximity import PhaseProximity, Proximity
+from vgmpi.planning.step_costs import PhaseProximity, Proximity
 from vgmpi.scene.scene import Scene
+from vgmpi.scene.scene_feature import phases_of_features
 
 _NEIGHBORS = np.stack(np.meshgrid(*(np.arange(-1, 2),) * 3, indexing="ij"), -1).reshape(-1, 1, 3)
 _NONE = np.zeros(0, np.int64)
@@ -46,7 +46,7 @@ def measure_proximity(
     lattice = BlockLattice(scene.domain.cells, scene.domain.cell)
     blocks = [_blocks(lattice, x) for x in positions]
     phase_of = [scene.phase_of(entity) for entity in scene.entities[: len(positions)]]
-    for name, rows in prescribed_phases(scene).items():
+    for name, rows in phases_of_features(scene).items():
         for k in rows:
             phase_of[k] = name
     reached_by_phase = {

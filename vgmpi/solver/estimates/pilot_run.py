@@ -16,10 +16,9 @@ import numpy as np
 
 from vgmpi.parallel.block_lattice import BLOCK_EDGE
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.planning.cost.feature_costs import step_ns
+from vgmpi.planning.cost.feature_costs import step_ns, step_overhead
 from vgmpi.planning.cost.pilot_result import CoarseStep, PilotRun, Snapshot
 from vgmpi.planning.cost.run_estimate import PILOT_SECONDS
-from vgmpi.planning.cost.step_overhead import step_overhead
 from vgmpi.planning.cost.throughput import Throughput
 from vgmpi.planning.plan import Plan, time_step_bounds
 from vgmpi.runtime.config.schema import SceneError

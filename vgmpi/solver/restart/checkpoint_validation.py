@@ -167,9 +167,8 @@ def _rows(simulation, saved, g, first, block):
         owner = simulation.object_of(ids)
         usual = groups_of_particles(plan, ids, owner)
         wrong = usual != g
-        for body in plan.driven:  # released particles are in the group that they join
-            wrong &= ~(np.isin(owner, body.objects) & (body.group_after_release == g))
-        released = [part for feature in plan.features for part in feature.released_parts()]
+        # released particles are in the group that they join
+        released = [part for feature in plan.features for part in feature.released_particles()]
         wrong &= ~np.isin(usual, [part.group for part in released if part.group_after_release == g])
         for feature in plan.features:
             wrong &= ~feature.may_hold(g, usual)

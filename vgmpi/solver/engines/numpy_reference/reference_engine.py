@@ -16,7 +16,7 @@ from vgmpi.kernels.colliders.moving_colliders import MovingColliders
 from vgmpi.kernels.colliders.static_colliders import StaticColliders
 from vgmpi.kernels.grid.mixture_coupling import MIN_POROSITY
 from vgmpi.kernels.kernel_arguments import NODE_MASS_FLOOR
-from vgmpi.kernels.rigid.prescribed_motion import PrescribedBodies
+from vgmpi.kernels.rigid.prescribed_motion import PhaseMotions
 from vgmpi.kernels.step_records import AccumulatorOverflow, StepReport
 from vgmpi.kernels.transfer.auxiliary_gather import OVERFILL_RELAXATION_RATE
 from vgmpi.kernels.transfer.particle_shifting import ShiftConstants
@@ -65,7 +65,7 @@ class Numpy(SurfaceNodes):
     def __init__(
         self, plan: Plan, lattice: BlockLattice, solids: CollidersAtNodes | None,
         threads: int = 1,
-        driven: PrescribedBodies | None = None,
+        driven: PhaseMotions | None = None,
     ):  # fmt: skip
         super().__init__(plan, Dense(plan))
         self.driven = driven
