@@ -146,6 +146,10 @@ class SceneFeature:
             paths += [(name, key) for key in fields if getattr(values, key) != fields[key].default]
         return paths + [(name, k) for name in self.lists for k in range(len(scene.lists[name]))]
 
+    def named_parts(self, scene: Any) -> list[tuple[str, tuple]]:
+        """Return what of it a scene has: noun phrases for messages, each with its first path."""
+        return [(self.title, path) for path in self.key_paths(scene)[:1]]
+
     def check_object(self, raw: dict, is_scenery: bool) -> Errors:
         """Return the errors of one object as read, besides the values of its keys."""
         return []

@@ -31,12 +31,6 @@ class Options:
     watchers: list = field(default_factory=list)  # each called with (run) at every frame
 
 
-# features that an engine lacks, by the scene's keys
-LACKS = {
-    CARD: {
-        "rigid": "free rigid bodies", "joint": "joints",
-    },
-}  # fmt: skip
 MAX_THREADS_PER_CORE, MIN_THREAD_LIMIT = 4, 32  # more would take memory for nothing
 
 
@@ -65,21 +59,14 @@ def check(options: Options, ranks: SerialCommunicator) -> None:
 
 def check_engine(engine: str, scene: Scene) -> None:
     """Raise InvalidRunOptions, which names all of it, if a scene has what its engine lacks."""
-    missing = [feature for feature in features() if engine in feature.missing_engines]
-    lacks, first = LACKS.get(engine, {}), dict[str, str]()
-    paths: list[tuple] = [("joint", k) for k in range(len(scene.lists["joint"]))]
-    for k, obj in enumerate(scene.object):
-        paths += [("object", k, "rigid")] * bool(obj.rigid)
-    for path in paths:
-        name = "joint" if path[0] == "joint" else path[-1]
-        if name in lacks:
-            first.setdefault(lacks[name], scene.place(path))
-    for feature in missing:
-        for path in feature.key_paths(scene)[:1]:
-            first.setdefault(feature.title, scene.place(path))
-    if first:
-        absent = ", ".join(f"no {title}: {place}" for title, place in first.items())
-        raise InvalidRunOptions(f"engine {engine} has {absent}; engine cpu has")
+    absent = [
+        f"no {title}: {scene.place(path)}"
+        for feature in features()
+        if engine in feature.missing_engines
+        for title, path in feature.named_parts(scene)
+    ]
+    if absent:
+        raise InvalidRunOptions(f"engine {engine} has {', '.join(absent)}; engine cpu has")
 
 
 def _find_card(options: Options, ranks: SerialCommunicator) -> None:

@@ -33,6 +33,20 @@ class RigidBodies(SceneFeature):
         )
     }
 
+    missing_engines = ("cuda",)
+
+    def named_parts(self, scene: Any) -> list[tuple[str, tuple]]:
+        """Return joints and bodies.
+
+        Args:
+            scene: See `SceneFeature.named_parts`.
+        """
+        joints = [("joints", ("joint", k)) for k in range(len(scene.lists["joint"]))]
+        bodies = [
+            (self.title, ("object", k, "rigid")) for k, obj in enumerate(scene.object) if obj.rigid
+        ]
+        return joints[:1] + bodies[:1]
+
     def check_list(self, name: str, raw: list[dict], tables: SceneTables) -> Errors:
         """Return the errors of the joints.
 
