@@ -10,7 +10,7 @@ from vgmpi.runtime.config.toml_source import TomlSource
 from vgmpi.runtime.message_text import did_you_mean_file
 
 from .objects import Object
-from .point_sets import SUFFIXES as POINT_SUFFIXES
+from .point_sets import POINT_SUFFIXES
 
 # The flags of the make_assets.py command that a comment in a scene may hold.
 FLAGS = re.compile(r"# +python \S*make_assets\.py(?: [^\s-]\S*)?((?: --\w+(?: [\w.]+)+)+)")

@@ -8,7 +8,7 @@ from pydantic import BeforeValidator, ConfigDict, PlainSerializer
 
 from vgmpi.runtime.config.schema import Positive, StrictModel
 
-SUFFIXES = (".ply", ".npz", ".vtp")  # of files of points
+POINT_SUFFIXES = (".ply", ".npz", ".vtp")  # of files of points
 ARRAYS = ("positions", "volumes", "colors", "velocities")
 KEYS_OF_SURFACES = ("collider", "prune", "rigid")  # of objects whose surface is known
 

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from vgmpi import gaussians
-from vgmpi import preprocess as preparation
+from vgmpi import gaussians, preprocess
 from vgmpi.io import checkpoint, file_layout, hdf5_writer, initial_state
 from vgmpi.io.run_reader import RunError, opened, read_gaussians
 from vgmpi.parallel.communicator import SerialCommunicator
@@ -300,7 +299,7 @@ def preparation_hash(scene: Scene) -> str:
             with open(path, "rb") as file:  # it may be of any size
                 while chunk := file.read(1 << 20):
                     hasher.update(chunk)
-    for folder in (*preparation.__path__, *gaussians.__path__, *feature_folders()):
+    for folder in (*preprocess.__path__, *gaussians.__path__, *feature_folders()):
         for path in sorted(Path(folder).rglob("*.py")):
             hasher.update(path.read_bytes())
     return hasher.hexdigest()

@@ -3,7 +3,7 @@
 import numpy as np
 
 from vgmpi.kernels.particle_records import AFFINE
-from vgmpi.kernels.simd import material_dispatch as _laws  # noqa: F401  (makes the tensors' functions callable)
+from vgmpi.kernels.simd import material_dispatch  # noqa: F401  (makes the tensors' functions callable)
 from vgmpi.kernels.simd.cooperative import strided_range, sync_threads
 from vgmpi.kernels.step_records import GRADIENT2, SPEED, STRAY
 from vgmpi.kernels.transfer.g2p import OUT_OF_DOMAIN, keep_lowest_id

@@ -17,7 +17,7 @@ from vgmpi.materials.material import law_function, law_owner, state_channels
 from vgmpi.materials.tensor_math import hencky, symmetric_eigen, tait, tensor, viscoplastic_flow
 from vgmpi.runtime.jit import always_inline, overload
 
-from . import math_functions as _functions  # noqa: F401  (defines exp and its kin for lanes
+from . import math_functions  # noqa: F401  (defines exp and its kin for lanes
 from .vector16 import VECTOR_OF, address, broadcast_value
 
 
