@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tests.support.simulate import begin
 from vgmpi.materials import registry
-from vgmpi.solver.engine_registry import ENGINES
+from vgmpi.solver.run_options import ENGINES
 from vgmpi.tools.bench.benchmark_case import KEYS
 
 CARDS = (80, 90)

@@ -12,7 +12,7 @@ from tests.support.engine_pair import of_scene, worst
 from tests.support.simulate import inlets_of
 from tests.support.small_scenes import LAWS
 from vgmpi.commands import cli
-from vgmpi.solver.engine_registry import ENGINES
+from vgmpi.solver.run_options import ENGINES
 
 STEPS, SORT_AT = 8, 3  # particles of liquids are shifted before the seventh
 HEAD = """

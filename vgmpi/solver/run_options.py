@@ -1,4 +1,4 @@
-"""Options of a run, and their check before any work is done."""
+"""Options of a run, the engines by their names, and checks before any work is done."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,8 +9,10 @@ from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.runtime.process_limits import available_cores
 from vgmpi.scene.scene import Scene
 from vgmpi.scene.scene_feature import features
+from vgmpi.solver.engines.cpu import Cpu
+from vgmpi.solver.engines.engine_protocol import Engine
+from vgmpi.solver.engines.numpy_reference.reference_engine import Numpy
 
-from .engine_registry import CARD, ENGINES
 from .run_outcome import InvalidRunOptions
 
 
@@ -20,7 +22,7 @@ class Options:
 
     folder: Path | None  # None: nothing is written
     threads: int = 1
-    engine: str = "cpu"  # name of an engine, see solver.engines
+    engine: str = "cpu"  # name of an engine, see `engine_of`
     resume: str | None = None  # a checkpoint's path; "": the newest valid one; None: from the start
     stop_steps: int = 0  # [steps] of this run until it stops, 0 for no limit
     stop_seconds: float = 0.0  # [s] wall time until it stops, 0 for no limit
@@ -31,7 +33,18 @@ class Options:
     watchers: list = field(default_factory=list)  # each called with (run) at every frame
 
 
+ENGINES: dict[str, type[Engine]] = {"cpu": Cpu, "numpy": Numpy}  # engines of every machine
+CARD = "cuda"  # needs a GPU and the extra of that name
 MAX_THREADS_PER_CORE, MIN_THREAD_LIMIT = 4, 32  # more would take memory for nothing
+
+
+def engine_of(name: str) -> type[Engine]:
+    """Return the engine class of a name; the CUDA engine is imported only when it is named."""
+    if name == CARD:
+        from vgmpi.solver.engines.cuda.cuda_engine import Cuda
+
+        return Cuda
+    return ENGINES[name]
 
 
 def check(options: Options, ranks: SerialCommunicator) -> None:

@@ -30,8 +30,8 @@ from vgmpi.solver.engines.engine_protocol import Engine
 from vgmpi.solver.engines.plan_tables import topology_requirements
 from vgmpi.solver.engines.shift_tables import shift_constants
 
-from .engine_registry import engine_of
 from .failure_message import failure_message
+from .run_options import engine_of
 from .run_outcome import BlowUp
 
 

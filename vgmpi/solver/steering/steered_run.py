@@ -193,7 +193,7 @@ class Run:
 
     def _changes(self):
         """Return what changes single particles of the run (ParticleChanges)."""
-        from vgmpi.solver.engine_registry import CARD
+        from vgmpi.solver.run_options import CARD
 
         from .particle_changes import ParticleChanges
 
