@@ -1,7 +1,9 @@
-"""vgmpi photo --demo: each example makes a scene; what is wrong with the flags is one line."""
+"""vgmpi photo --demo: its examples; what is wrong with the flags is one line.
+
+Each makes a scene that runs in tests/tools/test_written_scenes.py.
+"""
 
 import sys
-import tomllib
 
 import numpy as np
 import pytest
@@ -13,14 +15,6 @@ from vgmpi.tools.photo.__main__ import main
 
 pytest.importorskip("cv2", reason="no OpenCV: pip install 'vgmpi[images]'")
 pytest.importorskip("tomlkit", reason="no tomlkit: pip install 'vgmpi[images]'")
-
-
-def test_an_example_makes_a_scene(tmp_path, capfd):
-    """Those of all run to their end in tests/tools/test_written_scenes.py."""
-    pytest.importorskip("skimage", reason="scikit-image has the photograph")
-    assert main(["--demo", "rocket", "-o", str(tmp_path)]) == 0
-    assert len(tomllib.loads((tmp_path / "scene.toml").read_text())["object"]) == 1
-    assert capfd.readouterr().out.count(" dB") == 2
 
 
 def test_a_second_start_goes_on_with_the_layout_that_lies_there(tmp_path):
