@@ -15,12 +15,12 @@ from tests.support.small_scenes import MIXED
 
 pytestmark = pytest.mark.mpi
 
-PRECISIONS = ("single", "double")
+SINGLE = pytest.mark.parametrize("one", ["single"], indirect=True, scope="module")
 
 
-@pytest.fixture(scope="module", params=PRECISIONS)
+@pytest.fixture(scope="module")
 def one(request, tmp_path_factory):
-    """The scene, and the digests of its files when run on one rank."""
+    """The scene in a precision, and the digests of its files when run on one rank."""
     folder = tmp_path_factory.mktemp(request.param)
     scene, found = run_on_one_rank(folder, MIXED.replace("PRECISION", request.param))
     assert sum("frame_" in name for name in found) > 20
@@ -44,11 +44,13 @@ def test_ranks(one, n, tmp_path):
     assert_same_files(scene, want, tmp_path, go, n)
 
 
+@SINGLE
 def test_threads(one, tmp_path):
     scene, want = one
     assert_same_files(scene, want, tmp_path, go, 1, "--threads", 2)
 
 
+@SINGLE
 def test_stop_between_two_sorts_and_resume(one, tmp_path):
     """USR1 on three ranks, then on with two. The signal comes when it comes: nearly every step lies
     between two sorts.
