@@ -8,12 +8,6 @@ from vgmpi.runtime.config.schema import Color
 
 from .shapes import Shape, validate_shape
 
-# keys of an object that exclude regions, with the reason
-EXCLUDED_BY = {
-    "motion": "all of it is one rigid body until it is let go",
-    "release_time": "all of it stays where it is until it is let go",
-}
-
 
 class Region(Shape):
     """Part of a body that consists of another material of the same kind: exactly one shape (domain
@@ -36,11 +30,7 @@ def validate_regions(raw: dict) -> list[tuple[tuple, str]]:
     """
     if "region" not in raw:
         return []
-    errors: list[tuple[tuple, str]] = [
-        (("region",), f"is not for a body with {key}: {reason}")
-        for key, reason in EXCLUDED_BY.items()
-        if key in raw
-    ]
+    errors: list[tuple[tuple, str]] = []
     if raw.get("initial_pressure") == "hydrostatic":
         message = 'is not for a body with initial_pressure = "hydrostatic", which has one density'
         errors.append((("region",), message))

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 KEYS_OF_PARTICLES = (
     "region",
     "motion",
-    "release_time",
-    "release_order",
     "phase",
     "velocity_mode",
     "volume_fraction",

@@ -18,6 +18,11 @@ KEYS_EXCLUDED_BY_MOTION = (
     "volume_fraction",
     "volume_fraction_profile",
 )
+# Keys of a body that exclude regions, with the reason.
+REGIONS_EXCLUDED_BY = {
+    "motion": "all of it is one rigid body until it is let go",
+    "release_time": "all of it stays where it is until it is let go",
+}
 
 
 class ObjectKeys(StrictModel):
@@ -136,7 +141,14 @@ def validate_prescribed(raw: dict, is_scenery: bool) -> Errors:
     if is_scenery:
         message = "is not for scenery: it has no mass and does not move"
         return [((key,), message) for key in ObjectKeys.model_fields if key in raw]
-    errors: Errors = []
+    if raw.get("rigid") is True:
+        message = "is not for rigid bodies: they have no particles and move freely"
+        return [((key,), message) for key in ObjectKeys.model_fields if key in raw]
+    errors: Errors = [
+        (("region",), f"is not for a body with {key}: {reason}")
+        for key, reason in REGIONS_EXCLUDED_BY.items()
+        if key in raw and "region" in raw
+    ]
     driven = [key for key in ("motion", "release_time") if key in raw]
     if len(driven) > 1:
         message = "motion and release_time given at once: give one"
