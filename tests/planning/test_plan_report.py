@@ -153,7 +153,7 @@ def test_the_time_left_follows_the_pace_of_now(monkeypatch, caplog):
     """10 s to the middle, and from there ten times as slow."""
     run = SimpleNamespace(
         times=[0.0, 1.0], ranks=SerialCommunicator(), frame=1, simulation=SimpleNamespace(time=0.0),
-        plan=SimpleNamespace(sources=()),
+        plan=SimpleNamespace(has_sources=False),
     )  # fmt: skip
     now = [0.0]
     monkeypatch.setattr(report.time, "monotonic", lambda: now[0])
