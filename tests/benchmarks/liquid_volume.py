@@ -8,7 +8,6 @@ level is corrected for that.
 
 import tempfile
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -173,19 +172,21 @@ def splashing(cells: int, accuracy: str = ""):
     return simulation
 
 
-def turns(simulations, plans, rounds: int, steps: int) -> list[float]:
+def turns(simulations, intervals, rounds: int, steps: int) -> list[float]:
     """Return the ratios of the processor time of the second one's steps to the first one's.
 
     Args:
-        simulations, plans: Two of each; a plan is set before its turn.
+        simulations: Two simulations of liquids that are shifted.
+        intervals: Steps between two shifts, 0: never; set before its turn.
         rounds: Number of pairs.
         steps: Steps of each turn.
     """
     ratios = []
     for _ in range(rounds):
         seconds = []
-        for simulation, plan in zip(simulations, plans, strict=True):
-            simulation.plan, started = plan, time.thread_time()
+        for simulation, interval in zip(simulations, intervals, strict=True):
+            simulation.features["shifting"].correction_interval = interval
+            started = time.thread_time()
             for _ in range(steps):
                 simulation.advance(0.9 * simulation.bound())
             seconds.append(time.thread_time() - started)
@@ -193,10 +194,15 @@ def turns(simulations, plans, rounds: int, steps: int) -> list[float]:
     return ratios
 
 
+def interval_of(simulation) -> int:
+    """Return the number of steps between two shifts."""
+    return simulation.features["shifting"].correction_interval
+
+
 def dilatation_cost(cells: int, rounds: int, steps: int = 60) -> list[float]:
     """Return the ratios of a step's processor time with the dilatation by cells to that without."""
     both = [splashing(cells), splashing(cells, 'dilatation = "cells"')]
-    return turns(both, [one.plan for one in both], rounds, steps)
+    return turns(both, [interval_of(one) for one in both], rounds, steps)
 
 
 def step_cost(cells: int, rounds: int, steps: int = 60) -> list[float]:
@@ -205,7 +211,7 @@ def step_cost(cells: int, rounds: int, steps: int = 60) -> list[float]:
     The liquid splashes; both make the same steps of the transfer correction.
     """
     one = splashing(cells)
-    return turns([one, one], [replace(one.plan, shift_interval=0), one.plan], rounds, steps)
+    return turns([one, one], [0, interval_of(one)], rounds, steps)
 
 
 def rows(correction: str, cells: int, samples: list[VolumeSample]) -> list[str]:

@@ -72,9 +72,8 @@ def test_the_default_is_that_of_all_materials(tmp_path, material):
     text = Case(material).text.replace(f"cfl = {Case(material).cfl}\n", "")
     simulation, _ = begin(tmp_path, text)
     assert simulation.plan.cfl == DEFAULT_CFL == 0.55
-    assert (simulation.plan.correction_interval, simulation.plan.shift_interval) == (
-        2, 0 if material == "elastic" else 4,
-    )  # fmt: skip
+    own = [each.correction_interval for each in simulation.plan.features]
+    assert (simulation.plan.correction_interval, own) == (2, [] if material == "elastic" else [4])
 
 
 def test_a_fixed_step_is_bounded_by_the_smaller_number(tmp_path):

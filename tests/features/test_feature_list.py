@@ -59,7 +59,7 @@ def test_lists_and_keys_of_sections_have_names_of_their_own():
 def test_features_of_a_run_act_in_the_order_of_the_list(tmp_path):
     """Whatever the order in which they plan: prescribed bodies plan first."""
     simulation, _ = begin(tmp_path, SCENE)
-    names = ["moving_colliders", "prescribed_motion", "inlets_outlets", "releases"]
+    names = ["moving_colliders", "prescribed_motion", "inlets_outlets", "releases", "shifting"]
     assert list(simulation.features) == names
     assert [plan.name for plan in simulation.plan.features] == [names[1], names[0], *names[2:]]
 

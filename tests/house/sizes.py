@@ -7,6 +7,7 @@ from tests.house.source_file import FUNCTION, SourceFile, walk
 
 # where nine numbers are the entries of one thing, a 3x3 tensor, row by row
 TENSORS = (
+    "vgmpi/features/mixtures/gather.py",
     "vgmpi/materials/tensor_math/",
     "vgmpi/kernels/",
     "vgmpi/features/implicit_pressure/pressure_transfer.py",

@@ -10,17 +10,17 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from vgmpi.kernels.grid.mixture_coupling import (
+from vgmpi.features.mixtures.kernels import (
     MIN_POROSITY,
     MIN_VOLUME_FRACTION,
-    BlockContext,
-    NodalFields,
+    MixtureFields,
     couple_block,
     solve_drag_exchange,
 )
-from vgmpi.kernels.grid.mixture_workspace import mixture_tables, mixture_workspace, to_pointers
+from vgmpi.features.mixtures.rules import InteractionRules
+from vgmpi.features.mixtures.workspace import mixture_tables, mixture_workspace, to_pointers
+from vgmpi.kernels.kernel_arguments import BlockContext
 from vgmpi.kernels.simd.vector16 import load, pointer
-from vgmpi.materials.couplings.interaction import InteractionRules
 from vgmpi.runtime.aligned_arrays import aligned_zeros
 from vgmpi.runtime.jit import kernel
 
@@ -33,10 +33,10 @@ def solve(n, phase, grid, forces, offsets, cells, least, room, rules, dt, dx, dr
     """A block far from walls in which all n phases are."""
     of, rules = to_pointers(room, rules)
     here = BlockContext(0, n, True, False, 9, 9, 9)
-    fields = NodalFields(
+    fields = MixtureFields(
         pointer(phase), pointer(least), pointer(cells), pointer(grid), pointer(forces),
         pointer(offsets),
-        pointer(drift), pointer(drift), pointer(drift),
+        pointer(drift), pointer(drift),
     )  # fmt: skip
     couple_block(here, fields, of, rules, dt, dx)
 
@@ -116,7 +116,7 @@ class Node:
         ):  # fmt: skip
             field[..., :3], field[..., 3] = three[:, None], one[:, None]
         flat = [field.reshape(-1) for field in (grid, forces, offsets)]
-        known = mixture_workspace(n, np.dtype(float), aligned_zeros), mixture_tables(self.rules())
+        known = mixture_workspace(n, np.dtype(float)), mixture_tables(self.rules())
         solve(n, np.arange(n), *flat, np.ones(3, np.int64), np.zeros(n), *known, self.dt, self.dx,
               drift.reshape(-1))  # fmt: skip
         assert np.isfinite(grid).all() and (grid[:, 1:] == grid[:, :1]).all()
@@ -271,7 +271,7 @@ def exchanges(seed, empty):
 def relaxed(m, v, K):
     n = len(m)
     space, grid = (
-        mixture_workspace(n, np.dtype(float), aligned_zeros),
+        mixture_workspace(n, np.dtype(float)),
         aligned_zeros((n, 64, 4), float),
     )
     grid[..., :3], grid[..., 3] = v[:, None], m[:, None]

@@ -10,8 +10,8 @@ last two.
 import numpy as np
 import pytest
 
+from vgmpi.features.shifting import kernels as shifting
 from vgmpi.kernels.transfer import liquid_volume
-from vgmpi.kernels.transfer import particle_shifting as shifting
 
 OFFSETS = np.arange(40) / 40  # [cells] of the surface beyond a node
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.simulate import begin, by_id, totals
-from vgmpi.planning.correction_intervals import MAX_CORRECTION_INTERVAL
+from vgmpi.planning.plan import MAX_CORRECTION_INTERVAL
 
 SCENE = """
 [domain]

@@ -92,9 +92,9 @@ def exact(simulation):
     out = np.full((simulation.plan.particles, 3), np.nan)
     for group in simulation.groups:
         at = group.index()
-        if group.plan.coefficients:
+        if "color" in group.plan.channels:
             first = group.plan.channels["color"].first
-            least = simulation.plan.colors.minimum[group.plan.phase, 0]
+            least = simulation.features["color_transfer"].exchange.minimum[group.plan.phase, 0]
             out[group.ids[at]] = group.f[first : first + 3, at].T + least
     return out
 
@@ -154,7 +154,8 @@ def test_equal_colors_are_not_carried_and_cost_nothing(tmp_path):
         text = text.replace(old, "#ff2010")
     simulation, _ = begin(tmp_path, text)
     off, _ = begin(tmp_path, text.replace('"step"', '"off"'))
-    assert simulation.plan.colors is None and "color_sh" not in frame_rows(simulation, ())[1]
+    assert "color_transfer" not in simulation.features
+    assert "color_sh" not in frame_rows(simulation, ())[1]
     assert simulation.plan.bytes() == off.plan.bytes()
     assert [g.channels for g in simulation.groups] == [g.channels for g in off.groups]
     assert not any(name.startswith("color") for name in simulation.engine.layers)

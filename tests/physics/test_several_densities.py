@@ -100,7 +100,7 @@ def test_drops_that_collide_keep_their_momentum(tmp_path):
         for name, x, velocity in (("water", 0.26, [1.5, 0, 0.1]), ("brine", 0.38, [-1.5, 0, 0]))
     )
     simulation, made = begin(tmp_path, text)
-    before, shifts = totals(simulation), simulation.plan.shift_interval
+    before, shifts = totals(simulation), simulation.features["shifting"].correction_interval
     scale = (made.vol0 * DENSITIES[made.object] * np.linalg.norm(made.v0, axis=1)).sum()
     fullest = 0.0
     while simulation.time < 0.05:

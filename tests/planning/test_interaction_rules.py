@@ -7,17 +7,24 @@ import numpy as np
 import pytest
 
 from tests.support.small_scenes import scene
+from vgmpi.features.mixtures.plan import MixturesPlan
+from vgmpi.features.mixtures.rules import WAVE_MARGIN
 from vgmpi.kernels import kernel_arguments
 from vgmpi.materials.couplings.interaction import CONTACT
 from vgmpi.materials.couplings.mixing import Mixing
 from vgmpi.materials.material import law_function
-from vgmpi.planning.color_exchange import color_sets
-from vgmpi.planning.interaction_rules import WAVE_MARGIN, connected_sets
+from vgmpi.planning.phases_and_groups import color_sets, connected_sets
 from vgmpi.planning.plan import make_plan
 from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.scene.scene import miscible_materials
 
 THEORY = (Path(__file__).parents[2] / "docs" / "explanation" / "time-step.md").read_text()
+
+
+def rules_of(plan):
+    """Rules of the phases of a plan that share space."""
+    return plan.feature(MixturesPlan).rules
+
 
 POURED = """
 [accuracy]
@@ -56,9 +63,9 @@ def test_who_drifts_and_whose_drift_is_no_momentum(tmp_path):
         tmp_path, [("ale", "beer", "mixing", 1e-6), ("cola", "dew", "mixing-versagauss", 1e-6)]
     )
     assert [phase.name for phase in found.phases] == list(NAMES)
-    assert found.rules.drifting.tolist() == [True, True, True, True, False]
-    assert found.rules.conservative_drift.tolist() == [True, True, False, False, False]
-    assert found.drifts
+    assert rules_of(found).drifting.tolist() == [True, True, True, True, False]
+    assert rules_of(found).conservative_drift.tolist() == [True, True, False, False, False]
+    assert found.feature(MixturesPlan).drifts
 
 
 @pytest.mark.parametrize(
@@ -72,11 +79,11 @@ def test_who_drifts_and_whose_drift_is_no_momentum(tmp_path):
 )
 def test_nothing_is_kept_out_of_the_momentum(tmp_path, couplings):
     found = plan(tmp_path, couplings)
-    assert not found.drifts
     if couplings:
+        assert not found.feature(MixturesPlan).drifts
         drifting = {n for one, other, _, d in couplings if d for n in (one, other)}
-        assert [n in drifting for n in NAMES] == found.rules.drifting.tolist()
-        assert not np.any(found.rules.conservative_drift)
+        assert [n in drifting for n in NAMES] == rules_of(found).drifting.tolist()
+        assert not np.any(rules_of(found).conservative_drift)
 
 
 @pytest.mark.parametrize(
@@ -194,12 +201,12 @@ def test_the_shortest_waves_of_fluids_that_slip_are_stable(tmp_path, ratio, slip
     plan = slippery(tmp_path, (1e3, 1e6), (1e3 / ratio, 2e6 / ratio), slip_relaxation_time)
     own = [float(law_function(g.law, "wave_speed2")(g.law, g.reference)) for g in plan.groups]
     materials = [(g.density, g.density * c2) for g, c2 in zip(plan.groups, own, strict=True)]
-    assert plan.groups[1].slips == 1.0
-    heeded = plan.groups[0].slips > 1.0
+    assert plan.groups[1].wave.factor == 1.0
+    heeded = plan.groups[0].wave.factor > 1.0
     assert heeded or ratio == 3.0 or slip_relaxation_time == 1e-6
     spared = 1.0 if heeded else WAVE_MARGIN**0.5
     way = plan.cfl * plan.dx
-    dt = way / np.sqrt(max(own[0] * plan.groups[0].slips, own[1]))
+    dt = way / np.sqrt(max(own[0] * plan.groups[0].wave.factor, own[1]))
     grown = [
         max(
             growth(a, *materials, slip_relaxation_time, k / way, dt)
@@ -220,5 +227,5 @@ def test_no_step_is_shorter_without_a_slip_that_counts(tmp_path):
         ((10.0, 1e6), (1e3, 1e4), 1.0, "mixing"),
     ):
         plan = slippery(tmp_path, one, other, slip_relaxation_time, kind)
-        assert [group.slips for group in plan.groups] == [1.0, 1.0]
-    assert slippery(tmp_path, heavy, light, 1.0).groups[0].slips > 2500.0
+        assert [group.wave.factor for group in plan.groups] == [1.0, 1.0]
+    assert slippery(tmp_path, heavy, light, 1.0).groups[0].wave.factor > 2500.0

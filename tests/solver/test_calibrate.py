@@ -80,7 +80,7 @@ def test_the_cube_is_timed_without_what_the_plan_adds(tmp_path):
         room=0.44, precision="single", law=calibration.LAWS["fluid"]
     ))  # fmt: skip
     plan = make_plan(scene, [8], [8 * 0.005**3], False)
-    assert not plan.correction_interval and not plan.groups[0].shifts
+    assert not plan.correction_interval and not plan.features
     features = group_features(scene, plan, 0, Throughput(20.0, 30.0, "told"))
     assert [feature.name for feature in features] == ["law fluid"]
 

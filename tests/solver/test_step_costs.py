@@ -35,7 +35,8 @@ def mixed(tmp_path):
 
 def correction_period(simulation):
     """Steps after which transfers are corrected and particles shifted in the same step again."""
-    return math.lcm(simulation.plan.correction_interval, simulation.plan.shift_interval)
+    shifting = simulation.features["shifting"]
+    return math.lcm(simulation.plan.correction_interval, shifting.correction_interval)
 
 
 def compiled_allocations(simulation, dt):

@@ -87,7 +87,7 @@ plan.times T
 # at most so many numbers, however large the scene: of phases and walls, and scratch of a node
 FEW = 70
 HANDFUL = (
-    "exchange.census.load", "engine.phase_sets", "engine.overflow", "engine.node_fill",
+    "exchange.census.load", "engine.phase_sets", "engine.overflow", "features.shifting",
     "engine.layers.momentum.bias",
     "engine.layers.momentum.current_bounds", "engine.layers.offsets.bias",
     "engine.layers.offsets.current_bounds",
@@ -152,9 +152,9 @@ friction = 0.3
 """
 )
 SHARED = {
-    "engine.layers.impulses", "engine.gathered_nodes.flux", "engine.mixture_workspaces",
-    "engine.mixtures", "needs.separates_stress", "plan.rules", "tables.has_terms.impulses",
-    "tables.contributes.impulses",
+    "engine.layers.impulses", "engine.gathered_nodes.flux", "engine.stage_scratch",
+    "engine.layers.stage", "engine.shared_stress", "needs.separates_stress", "plan.features",
+    "tables.has_terms.impulses", "tables.contributes.impulses",
 }  # fmt: skip
 
 
@@ -246,7 +246,7 @@ def test_without_volume_correction_nothing_of_it_exists(tmp_path, plain):
     text = PLAIN.replace("precision", 'volume_correction = "none"\nprecision')
     simulation, calls = simulated(tmp_path, text)
     gone = set(shapes(plain[0])) - set(shapes(simulation))
-    assert parts(gone) == {"engine.node_fill"}
+    assert parts(gone) == {"features.shifting"}
     assert not set(shapes(simulation)) - set(shapes(plain[0]))
     assert kinds(KERNELS) - kinds(calls.compiled) == {"NodeFill", "ShiftConstants"}
     patch = len(plain[0].engine.memory.scratch[0].real) - len(
@@ -290,7 +290,7 @@ name = "drain"
 shape = { box = [[0.24, 0, 0], [0.32, 0.32, 0.32]] }
 """
 MIXES = {
-    "SeparatedStress", "MixtureTables", "MixtureWorkspace", "InteractionRules", "Impulses",
+    "SeparatedStress", "MixtureStage", "MixtureTables", "MixtureWorkspace", "Impulses",
     "MixtureGather",
 }  # fmt: skip
 # name: scene, parts with arrays, and kinds in kernels that the plain one has not
@@ -307,7 +307,7 @@ FEATURES = {
     "colors": (
         PLAIN + TRAVELS + MILK + RED,
         {"engine.layers.color 0", "tables.has_terms.color 0", "tables.contributes.color 0",
-         "needs.fields", "plan.colors"},
+         "needs.fields", "features.color_transfer"},
         {"ValuesByVolume", "gather_values", "average_over_phases"},
     ),
     "mixing": (PLAIN + MILK + BESIDE + COUPLED + 'kind = "mixing"\n', SHARED, MIXES),
@@ -377,9 +377,9 @@ FEATURES = {
     ),
     "flip": (
         PLAIN.replace("precision", 'transfer = "flip"\nprecision'),
-        {"engine.layers.impulses", "engine.gathered_nodes.change", "engine.mixture_workspaces",
+        {"engine.layers.impulses", "engine.gathered_nodes.change",
          "tables.has_terms.impulses", "tables.contributes.impulses"},
-        {"SeparatedStress", "MixtureWorkspace", "Impulses", "FlipGather"},
+        {"SeparatedStress", "VelocityChange", "Impulses", "FlipGather"},
     ),
 }  # fmt: skip
 

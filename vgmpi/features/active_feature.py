@@ -17,12 +17,14 @@ import numpy as np
 
 from vgmpi.kernels.kernel_arguments import NodeBlocks, Walls
 from vgmpi.kernels.step_records import ParticleBounds, StepMaxima, StepReport, StepSpan
+from vgmpi.kernels.transfer.transfer_correction import CorrectionKinds
 from vgmpi.parallel.block_lattice import BlockLattice
 from vgmpi.parallel.block_ownership import BlockDirectory
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.exchange_topology import ExchangeTopology
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.feature_plan import first_reaction_rows
+from vgmpi.planning.phases_and_groups import GroupPlan
 from vgmpi.planning.plan import Plan
 from vgmpi.scene import scene_feature
 
@@ -101,6 +103,8 @@ class ActiveFeature:
         has_request: Whether it has `request`.
         is_fixed: Whether the blocks near it stay the same, so that a sort may reuse the tables.
         correction_origin: Step from which the intervals of corrections are counted.
+        correction_interval: Number of steps between two steps of no time in which it takes part by
+            `correction_kinds`, 0: never. At most one feature of a run does.
         margin: Distance [cells] by which it may move particles after a step.
     """
 
@@ -112,6 +116,7 @@ class ActiveFeature:
     has_request = False
     is_fixed = True
     correction_origin = 0
+    correction_interval = 0
     margin = 0.0
 
     def compile_kernels(self) -> None:
@@ -159,6 +164,15 @@ class ActiveFeature:
         """
         return group_of
 
+    def channel_values(self, group: GroupPlan, rows: ParticleRows) -> dict[str, np.ndarray]:
+        """Return values of channels of new particles, shape (n, width), by name.
+
+        Args:
+            group: Plan of their group.
+            rows: The particles.
+        """
+        return {}
+
     def count_inserted(self, rows: ParticleRows) -> None:
         """Count particles that were inserted on this rank."""
 
@@ -204,8 +218,33 @@ class ActiveFeature:
     def begin_step(self, span: StepSpan) -> None:
         """Begin a step."""
 
-    def end_correction(self, time: float) -> None:
-        """Follow a step of no time at a time [s], which has changed velocities and positions."""
+    def correction_kinds(self, dt: float, step: int) -> CorrectionKinds | None:
+        """Return what it does in the step of no time before a step.
+
+        Args:
+            dt: Length of that step [s].
+            step: Number of steps so far.
+        """
+        return None
+
+    def dense_correction(self, dense: Any) -> Any:
+        """Return how it takes part in a step of no time of the reference engine, or None.
+
+        The result has `begin(mass, groups, stencils, distance, division)` and `apply(group,
+        stencil, kind)`, see features/shifting/reference.py.
+
+        Args:
+            dense: See `divide_dense_nodes`.
+        """
+        return None
+
+    def end_correction(self, time: float, moves: bool) -> None:
+        """Follow a step of no time, which has changed velocities.
+
+        Args:
+            time: Time [s].
+            moves: Whether features of the run may move particles in such steps.
+        """
 
     def push_particles(self, span: StepSpan) -> float:
         """Change velocities before a step; return a bound [m/s] of what it adds, also by motion."""
@@ -245,6 +284,15 @@ class ActiveFeature:
 
     # ---- output ----------------------------------------------------------------------------------
 
+    def frame_rows(self, group: ParticleGroup, indices: np.ndarray) -> dict[str, np.ndarray]:
+        """Return datasets of particles (n,) of a group for a frame, by name; equal for all groups.
+
+        Args:
+            group: The group.
+            indices: Indices of the particles, shape (n,).
+        """
+        return {}
+
     def collider_poses(self, time: float) -> np.ndarray | None:
         """Return the poses of moving colliders, shape (m, 4, 4), start -> `time` [m], or None."""
         return None
@@ -267,6 +315,75 @@ class ActiveFeature:
     def reaction_points(self) -> np.ndarray:
         """Return the present reference points of its reactions, shape (rows, 3) [m]."""
         return np.zeros((0, 3))
+
+
+class DenseStage:
+    """Part of a feature in the grid update and in the gather of particles.
+
+    It is for the reference engine what kernels/grid/node_stages.py is for the others.
+
+    Every method by default changes nothing. Arrays run over phases, then nodes.
+    """
+
+    def after_stress(self, nodes: Any, v: np.ndarray, mass: np.ndarray) -> None:
+        """Act after the separate stress impulses that no feature distributes.
+
+        Args:
+            nodes: The engine: its `forces` and `counted` are the separate impulses [kg m/s] and the
+                volumes [m3], `offset` the field of offsets, `dt` [s] the length of the step.
+            v: Velocities (in/out), shape (phases, ..., 3) [m/s].
+            mass: Masses, shape (phases, ...) [kg].
+        """
+
+    def after_walls(self, nodes: Any, v: np.ndarray, mass: np.ndarray) -> np.ndarray:
+        """Act after contact and walls; return the velocities (phases, ..., 3) [m/s].
+
+        Args:
+            nodes, v, mass: See `after_stress`; `velocity_before` of the engine are the velocities
+                before gravity and stress [m/s].
+        """
+        return v
+
+    def gathered_fields(self, change_share: float) -> list[tuple[np.ndarray, float]]:
+        """Return the fields that particles gather, and the share of wall reactions in each.
+
+        Args:
+            change_share: Share of the mirror's change of velocity that reaches particles.
+        """
+        return []
+
+    def particle_velocity(
+        self, group: ParticleGroup, stencil: Any, v: np.ndarray, dt: float
+    ) -> np.ndarray:
+        """Return the velocities that particles take, shape (n, 3) [m/s].
+
+        Args:
+            group: The particles.
+            stencil: Their stencil.
+            v: Velocities as gathered [m/s].
+            dt: Length of the step [s].
+        """
+        return v
+
+    def motion(
+        self, group: ParticleGroup, stencil: Any, split: np.ndarray, v: np.ndarray, L: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the velocities (n, 3) [m/s] that advect particles, and the gradients for laws.
+
+        Args:
+            group, stencil: See `particle_velocity`.
+            split: Particles whose stress impulses are summed separately, shape (n,) bool.
+            v, L: Velocities, and gradients (n, 3, 3) [1/s], as gathered.
+        """
+        return v, L
+
+    def fill_fraction(self, group: ParticleGroup, stencil: Any) -> np.ndarray | None:
+        """Return the filled fraction of the space around particles (n,), None if masses tell it.
+
+        Args:
+            group, stencil: See `particle_velocity`.
+        """
+        return None
 
 
 def carrier_of(features: Mapping[str, ActiveFeature], name: str) -> ActiveFeature | None:

@@ -58,7 +58,7 @@ def insert_particles(
     for g, group in enumerate(groups):
         selected = rows.select(group_of == g)
         block, xi = lattice.place(selected.x, plan.real)
-        channels, states = _channels(plan, group.plan, selected, len(xi[0]))
+        channels, states = _channels(plan, group.plan, selected, len(xi[0]), features)
         if len(selected.x):
             gradients = selected.C if selected.C is not None else np.zeros((1, 9))
             own = bounds_of(plan, group.plan, states, selected.v, gradients)
@@ -68,7 +68,7 @@ def insert_particles(
 
 
 def _channels(
-    plan: Plan, group: GroupPlan, rows: ParticleRows, count: int
+    plan: Plan, group: GroupPlan, rows: ParticleRows, count: int, features: Iterable
 ) -> tuple[np.ndarray, list]:
     """Return channel values (channels, count) and the states that bound those of the particles."""
     channels = group.channels
@@ -79,10 +79,9 @@ def _channels(
     values[channels["vol0"].rows] = rows.volume
     if group.surface and rows.surface is not None:
         values[channels["surface"].rows] = rows.surface.T
-    color_count = group.coefficients
-    if color_count and rows.sh is not None and plan.colors is not None:
-        colors = rows.sh[:, :color_count] - plan.colors.minimum[group.phase, :color_count]
-        values[channels["color"].rows] = colors.reshape(len(colors), 3 * color_count).T
+    for feature in features:
+        for name, own in feature.channel_values(group, rows).items():
+            values[channels[name].rows] = own.T
     states = [group.reference]
     if rows.theta is not None and group.family == "fluid":
         values[channels["theta"].rows] = rows.theta
@@ -109,7 +108,7 @@ def bounds_of(
     speed, wave = float(np.sqrt((v**2).sum(1)).max()), float(np.sqrt(wave2))
     rate = max((wave + speed) / (cfl * dx), speed / (MAX_CELLS_PER_STEP * dx))
     rate = max(rate, float(np.abs(C[:, 0] + C[:, 4] + C[:, 8]).max()) / MAX_VOLUME_STRAIN_PER_STEP)
-    stress = float(max(tau)) / (group.density * group.pores)
+    stress = float(max(tau)) / (group.density * group.wave.min_porosity)
     return ParticleBounds(rate, speed, float(np.sqrt((C**2).sum(1)).max()), stress)
 
 

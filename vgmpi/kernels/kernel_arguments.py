@@ -84,3 +84,26 @@ class Step(NamedTuple):
     dt: float  # [s] time step
     dx: float  # [m] cell size
     gravity_increment: np.ndarray  # (4,) [m/s] velocity change by gravity in dt, and 0
+
+
+class BlockContext(NamedTuple):
+    """One block: its node blocks are n0 .. n1, its first node is `low`."""
+
+    n0: int
+    n1: int
+    may_touch: bool  # whether phases may touch here, so that offsets exist
+    at_wall: bool  # whether some of its nodes are on or beyond a wall
+    low_x: int
+    low_y: int
+    low_z: int
+
+
+class NodalFields(NamedTuple):
+    """Nodal arrays of node blocks, as pointers to their data (vector16.pointer)."""
+
+    phase: np.ndarray  # (node blocks,) phase of each
+    min_cell_mass: np.ndarray  # (phases,) [kg] mass of a full cell
+    cells: np.ndarray  # (3,) cells of the domain
+    grid: np.ndarray  # (256 node blocks,) velocity [m/s] and mass [kg]
+    forces: np.ndarray  # same shape: separate impulses [kg m/s] and volume [m3]
+    offsets: np.ndarray  # same shape: offsets [m4] and volume [m3], if the block's phases may touch

@@ -11,6 +11,14 @@ from vgmpi.planning.plan import Plan
 # the reason, speed along an axis [cells/s], squared norm of the velocity gradient [1/s2].
 RATE, STRAY, FAILED_ID, FAILURE, SPEED, GRADIENT2 = range(6)
 MAXIMA = 6
+# Generators of a low-discrepancy sequence in the unit cube (Roberts 2018)
+DITHER = (0.8191725133961645, 0.6710436067037893, 0.5497004779019703)
+
+
+def dither_of_step(step: int) -> tuple[float, float, float]:
+    """Return what a step adds to positions before they are rounded down, equal on all ranks."""
+    x, y, z = (d * step % 1.0 for d in DITHER)
+    return x, y, z
 
 
 class StepSpan(NamedTuple):

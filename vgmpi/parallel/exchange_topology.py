@@ -19,7 +19,6 @@ from .block_lattice import BLOCK_EDGE, BlockLattice
 from .block_ownership import BlockDirectory
 from .node_overlap import NEIGHBORS, number_node_blocks, shared_masks
 
-REST_VOLUME = "rest volume"  # nodal field of a step of no time
 # nodal fields near free bodies: velocity gradients, mean pressure
 GRADIENTS = tuple(f"velocity gradient {a}" for a in "xyz")
 NEAR_BODIES = (*GRADIENTS, "mean pressure")
@@ -63,13 +62,13 @@ class ExchangeTopology(NamedTuple):
     shared: dict[int, dict[str, SharedNodes]]  # rank -> field -> shared nodes
 
 
-class MixtureProximity(NamedTuple):
-    """Proximity for mixtures: near these, fluids sum stress impulses separately from momentum."""
+class StressProximity(NamedTuple):
+    """Phases near which fluids sum stress impulses separately from momentum."""
 
     shares: np.ndarray  # (phases, phases) bool, True if the pair shares space
     contact: np.ndarray  # (phases, phases) bool, True if the pair needs volumes and offsets
     fluid: np.ndarray  # (phases,) bool
-    every: bool  # True: separately everywhere, for all phases (FLIP)
+    every: bool  # True: separately everywhere, for all phases
 
 
 class FieldPlace(NamedTuple):
@@ -87,7 +86,7 @@ class TopologyRequirements(NamedTuple):
     phase_of: np.ndarray  # (groups,) phase of each group
     contact: bool  # phases may touch at all
     separates_stress: (
-        bool | MixtureProximity
+        bool | StressProximity
     )  # where stress impulses are summed separately; True: everywhere
     fields: tuple[FieldPlace, ...] = ()
     surface: np.ndarray = np.zeros(0, bool)  # (phases,) True with surface descriptors

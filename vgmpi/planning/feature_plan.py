@@ -1,7 +1,7 @@
 """Plan of an optional feature: what the rest of a plan must know of it."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,7 +9,7 @@ import numpy as np
 from vgmpi.scene.rigid_motion import Trajectory
 from vgmpi.scene.scene_feature import features
 
-from .step_costs import ProximityCost, StageCost
+from .step_costs import ProximityCost, StageCost, StepCosts
 
 TIME_TOLERANCE = 1.0 + 1e-12  # [-] ratio below which two times count as equal
 
@@ -74,6 +74,22 @@ class FeaturePlan:
         source_names: Names of its particle sources, see scene/scene_feature.py.
         source_speeds: Speeds [m/s] with which their particles enter.
         removes_particles: Whether particles leave the domain.
+        correction_interval: See `ActiveFeature`.
+        particle_channels: Channels of particles that it adds.
+        frame_bytes: Bytes that it adds to a particle in frames.
+        summed_fields: Number of nodal fields that it sums everywhere.
+        separates_stress: Whether it sums all stress impulses separately from momentum.
+        shared_stress: Phases whose stress impulses it distributes, (phases,) bool, or None.
+        grain_volumes: Specific volume of the grains of sands with fluids in their pores, 0 of
+            other phases, (phases,) [m3/kg], or None.
+        gathers_with_stress: Whether particles gather its values only where impulses are separate.
+        counts_volumes: Whether it needs volumes at the nodes where stress impulses are separate.
+        pair_rules: Interaction of each two phases, (phases, phases), CONTACT or another number of
+            materials/couplings/interaction.py; None if all are in contact.
+        pair_channels: Channels that its interactions need, by their names in reports; "": none.
+        phase_sets: Phases of one number share one velocity, -1: each its own, (phases,), or None.
+        min_rate: Lower bound of 1 / dt [1/s].
+        step_bounds: Bounds of the time step [s] and their causes.
     """
 
     name = title = ""
@@ -93,6 +109,16 @@ class FeaturePlan:
     drives_motion = removes_particles = False
     source_names: tuple[str, ...] = ()
     source_speeds: tuple[float, ...] = ()
+    correction_interval = summed_fields = frame_bytes = 0
+    particle_channels: tuple[str, ...] = ()
+    separates_stress = gathers_with_stress = counts_volumes = False
+    shared_stress: np.ndarray | None = None
+    grain_volumes: np.ndarray | None = None
+    pair_rules: np.ndarray | None = None
+    pair_channels: Mapping[str, str] = {}
+    phase_sets: np.ndarray | None = None
+    min_rate = 0.0
+    step_bounds: Sequence[tuple[float, str]] = ()
 
     def contributes(self, phase: int) -> bool:
         """Return whether the particles of a phase contribute to its nodal fields."""
@@ -106,21 +132,78 @@ class FeaturePlan:
         """
         return ()
 
-    def gathers(self, group: Any) -> bool:
-        """Return whether the particles of a group gather more than the velocity for it."""
-        return False
+    def gathers(self, group: Any) -> tuple[str, ...]:
+        """Return the names of the auxiliary nodal values that the particles of a group gather."""
+        return ()
 
-    def gather_kind(self, group: Any, gathered: dict) -> Any:
-        """Return the kernels/transfer/auxiliary_gather.py kind of such a group, or None.
+    def gather_kind(self, group: Any, nodes: dict, dt: float, patch: int) -> Any:
+        """Return the kernels/transfer/auxiliary_gather.py kind of such a group.
 
         Args:
             group: The `GroupPlan`.
-            gathered: Auxiliary nodal values by name.
+            nodes: Auxiliary nodal values by name.
+            dt: Length of the step [s].
+            patch: Number of its first patch among the auxiliary ones.
         """
         return None
 
-    def particle_cost(self, group: Any) -> StageCost | None:
-        """Return what it costs per particle of a group, relative to a fluid's step, or None."""
+    def node_stage(self, nodes: dict) -> Any:
+        """Return its kernels/grid/node_stages.py kind, or None.
+
+        Args:
+            nodes: Auxiliary nodal values by name.
+        """
+        return None
+
+    def stage_scratch(self, phases: int, real: np.dtype) -> Any:
+        """Return scratch of one thread for that kind, or None. One feature of a run has some.
+
+        Args:
+            phases: Number of phases.
+            real: Type of the numbers.
+        """
+        return None
+
+    def dense_stage(self, plan: Any, dense: Any) -> Any:
+        """Return its features/active_feature.py `DenseStage` for the reference engine, or None.
+
+        Args:
+            plan: The plan of the run.
+            dense: See `ActiveFeature.divide_dense_nodes`.
+        """
+        return None
+
+    def stress_proximity(self) -> Any:
+        """Return near which phases it sums stress impulses separately, or None.
+
+        The result is a parallel/exchange_topology.py `StressProximity`.
+        """
+        return None
+
+    def retained_share(self, dt: float) -> float:
+        """Return the share of the motion that the grid does not resolve, which particles retain.
+
+        Args:
+            dt: Length of the step [s].
+        """
+        return 0.0
+
+    def pair_cost(self, p: int, q: int, costs: StepCosts) -> tuple[str, ProximityCost] | None:
+        """Return name and cost of the interaction of two phases, None if it is contact.
+
+        Args:
+            p, q: The phases.
+            costs: Costs of the parts of a step.
+        """
+        return None
+
+    def particle_cost(self, group: Any, costs: StepCosts) -> StageCost | None:
+        """Return what it costs per particle of a group, relative to a fluid's step, or None.
+
+        Args:
+            group: The `GroupPlan`.
+            costs: Costs of the parts of a step.
+        """
         return None
 
     def parts(self) -> list[BodyPart]:
@@ -208,12 +291,12 @@ class FeaturePlan:
         return None
 
     def start(self, context: Any) -> Any:
-        """Return the feature as it acts in a run, an `ActiveFeature`.
+        """Return the feature as it acts in a run, an `ActiveFeature`, or None if kinds are all.
 
         Args:
             context: What it may take, a features/active_feature.py `StartContext`.
         """
-        raise NotImplementedError
+        return None
 
 
 class PlanDraft(NamedTuple):
@@ -227,16 +310,19 @@ class PlanDraft(NamedTuple):
     features: tuple[FeaturePlan, ...] = ()  # planned so far
 
 
-def plan_features(draft: PlanDraft, prepared: Mapping[str, Any]) -> PlanDraft:
-    """Return the draft with the plans of all features that a scene has, and their changes.
+def plan_features(draft: PlanDraft, prepared: Mapping[str, Any], precede_copies: bool) -> PlanDraft:
+    """Return the draft with the plans of features that a scene has, and their changes.
 
     Features that move whole bodies to groups of their own come first.
 
     Args:
         draft: Phases and groups without these features.
         prepared: Prepared data of features by name.
+        precede_copies: Which features are planned, see `SceneFeature.precedes_copies`.
     """
     for feature in sorted(features(), key=lambda each: not each.moves_bodies):
+        if feature.precedes_copies != precede_copies:
+            continue
         plan, draft = feature.plan(draft, prepared.get(feature.name))
         if plan is not None:
             draft = draft._replace(features=(*draft.features, plan))

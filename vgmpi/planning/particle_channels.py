@@ -41,7 +41,7 @@ class Channels:
         share: bool = False,
         follows: bool = False,
         surface: bool = False,
-        hues: int = 0,
+        extra: tuple[tuple[str, str, int], ...] = (),
     ):
         """Lay out the rows of all channels.
 
@@ -52,14 +52,14 @@ class Channels:
             surface: Store the surface descriptor of the body at rest: outward normal [1], whose
                 length is its certainty, signed distance [m], and the gradient of the normal [1/m],
                 ordered xx, xy, xz, yy, yz, zz.
-            hues: Number of color coefficients that are transferred in every step.
+            extra: Name, unit and width of further channels.
         """
         rows = [(name, unit, (0.0,) * width, name) for name, width, unit in COMMON_CHANNELS]
         rows += [(name, "1", tuple(values), "state") for name, values in state.items()]
         rows += [("share", "1", (1.0,), "state")] * share
         rows += [("F", "1", (0.0,) * 9, "state")] * follows
         rows += [("surface", "1, m, 1/m", (0.0,) * SURFACE, "state")] * surface
-        rows += [("color", "1", (0.0,) * 3 * hues, "state")] * (hues > 0)
+        rows += [(name, unit, (0.0,) * width, "state") for name, unit, width in extra]
         self._by_name: dict[str, Channel] = {}
         self.count = 0  # floats per particle
         for name, unit, values, dataset in rows:

@@ -10,14 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vgmpi.materials.couplings.interaction import CONTACT, DRAG, InteractionRules
+from vgmpi.materials.couplings.interaction import CONTACT, MIXING
 from vgmpi.materials.material import law_function, state_channels
 from vgmpi.scene.objects import Object
 from vgmpi.scene.scene import Scene
 from vgmpi.scene.scene_feature import ParticleSource, phases_of_features
 
-from .color_exchange import ColorExchange
-from .correction_intervals import shift_cost, shift_interval
 from .particle_channels import Channels
 from .step_costs import COSTS
 
@@ -27,6 +25,15 @@ CONTACT_PRIORITY = {
     "sand": 2,
     "fluid": 3,
 }  # Of two phases in contact, the one with the smaller number provides the surface normal.
+
+
+class WaveTerms(NamedTuple):
+    """Squared wave speed that bounds the steps of a group, from that of its law."""
+
+    factor: float = 1.0  # [-] relative to its law's
+    min_porosity: float = 1.0  # [-] smallest initial porosity, for fluids that flow through sand
+    density_ratio: float = 1.0  # [-] density relative to such sand's grains, at least 1
+    added: float = 0.0  # [m2/s2] squared wave speed that such sand adds
 
 
 class GroupPlan(NamedTuple):
@@ -42,17 +49,13 @@ class GroupPlan(NamedTuple):
     cost: float  # [-] work per particle relative to a fluid's
     share: float = 1.0  # [-] fraction of a particle's rest volume that the material itself fills
     separates_stress: bool = False  # stress impulses are summed separately from momentum
-    shares: bool = False  # it is a fluid in a mixture or in pores
-    pores: float = 1.0  # [-] smallest initial porosity, for fluids that flow through sand
-    stiff: float = 0.0  # [m2/s2] squared wave speed that such sand adds
-    dense: float = 1.0  # [-] density relative to such sand's grains, at least 1
-    slips: float = 1.0  # [-] squared wave speed that bounds a step, relative to its own
+    shares_space: bool = False  # it is a fluid in a mixture or in pores
+    wave: WaveTerms = WaveTerms()  # what bounds its steps
     tracks_deformation: bool = False  # stores its total deformation gradient, which its law lacks
     surface: bool = False  # its particles carry the surface descriptor of the body at rest
-    coefficients: int = 0  # color coefficients that are transferred in every step
+    extra_channels: tuple[tuple[str, str, int], ...] = ()  # name, unit and width, of features
     driven: bool = False  # a feature prescribes the velocity of its phase
     space: float = 0.0  # [1/kg] inverse mass of a full cell with density correction, else 0
-    shifts: bool = False  # its particles are shifted where they crowd, and keep their volume
     cell_dilatation: bool = False  # its volume follows the mean divergence of cells
     separate_pressure: bool = False  # its pressure is not that of its volume: a feature applies it
     softens_spray: bool = False  # its volume follows a part of the divergence where it fills little
@@ -71,7 +74,7 @@ class GroupPlan(NamedTuple):
     @property
     def stores_porosity(self) -> bool:
         """True if its particles carry their volume fraction."""
-        return self.pores < 1.0
+        return self.wave.min_porosity < 1.0
 
     @property
     def reference(self) -> tuple:
@@ -96,12 +99,14 @@ class GroupPlan(NamedTuple):
             self.stores_porosity,
             self.tracks_deformation,
             self.surface,
-            self.coefficients,
+            self.extra_channels,
         )
 
     def bound(self, wave2):
         """Return the squared wave speed in the initial pores [m2/s2], given the law's `wave2`."""
-        return wave2 * self.slips * (1.0 + (1.0 / self.pores - 1.0) * self.dense) + self.stiff
+        terms = self.wave
+        in_pores = 1.0 + (1.0 / terms.min_porosity - 1.0) * terms.density_ratio
+        return wave2 * terms.factor * in_pores + terms.added
 
 
 @lru_cache(maxsize=64)
@@ -121,7 +126,6 @@ class PhasePlan(NamedTuple):
     max_cell_mass: float  # [kg] mass of a cell full of its densest material
     surface: bool = False  # contact uses surface descriptors of its bodies, not particles alone
     driven: bool = False  # its velocity is prescribed
-    fills_by_volume: bool = False  # its liquids are shifted and differ in density
     # contact with walls would not hold it: its weight or speed is too much, or it is a capture
     is_soft: bool = False
     shares_space: bool = False  # it lies in the same space as another phase
@@ -297,90 +301,45 @@ def make_group(phase: int, phase_label: str, name: str, material, real: np.dtype
     )
 
 
-def with_runtime_requirements(
-    scene: Scene, group: GroupPlan, sharing: InteractionRules | None, colors: ColorExchange | None,
-    flip: object, interval: int,
-) -> GroupPlan:  # fmt: skip
-    """Return the group with all that the runtime features of the scene require.
-
-    These are shared space, transferred colors, FLIP and the correction of motion every few steps.
+def with_corrections(
+    scene: Scene, groups: tuple[GroupPlan, ...], phases: tuple[PhasePlan, ...], interval: int
+) -> tuple[GroupPlan, ...]:
+    """Return the groups with the correction of motion, and with that of the volume of liquids.
 
     Args:
         scene: The scene.
-        group: The group.
-        sharing: Interaction rules of the phases, or None.
-        colors: Colors that are transferred in every step, or None.
-        flip: FLIP blend, or None.
+        groups, phases: Groups and phases of the scene.
         interval: Steps between two corrections of motion, 0: never.
     """
-    group = _with_shared_space(scene, group, sharing)
-    if colors is not None:
-        group = _with_colors(group, int(colors.coefficients[group.phase]))
     if interval:
-        group = group._replace(cost=group.cost + COSTS.correction.total / interval)
-    if flip is not None:
-        return group._replace(separates_stress=True, cost=group.cost + COSTS.flip.total)
-    if scene.accuracy.dilatation == "cells" and group.is_liquid and not group.separates_stress:
-        cost = group.cost + COSTS.cell_dilatation.total
-        return group._replace(cell_dilatation=True, cost=cost)
-    return group
+        price = COSTS.correction.total / interval
+        groups = tuple(group._replace(cost=group.cost + price) for group in groups)
+    if scene.accuracy.dilatation == "cells":
+        groups = tuple(
+            group._replace(cell_dilatation=True, cost=group.cost + COSTS.cell_dilatation.total)
+            if group.is_liquid and not group.separates_stress
+            else group
+            for group in groups
+        )
+    return with_density_correction(scene, groups, phases)
 
 
-def _with_shared_space(
-    scene: Scene, group: GroupPlan, sharing: InteractionRules | None
-) -> GroupPlan:
-    """Return the group with what it needs to share space with other phases."""
-    if sharing is None or sharing.mixture_set[group.phase] < 0 or not sharing.fluid[group.phase]:
-        return group
-    group = group._replace(separates_stress=True, shares=True)
-    for coupling in scene.coupling:
-        if coupling.rule == DRAG and group.material in coupling.between:
-            sand = scene.material[next(m for m in coupling.between if m != group.material)]
-            reference = tuple(v for values in sand.carries.values() for v in values)
-            law = sand.law()
-            water = scene.material[group.material].model_copy(update={"tension": "off"}).law()
-            real = type(group.law[0])
-            group = group._replace(
-                law=type(water)(*(real(v) for v in water)),  # water in pores bears no tension
-                pores=min(group.pores, sand.porosity),
-                stiff=max(group.stiff, float(law_function(law, "wave_speed2")(law, reference))),
-                dense=max(group.dense, group.density / sand.density),
-            )
-    return group
-
-
-def with_volume_correction(
+def with_density_correction(
     scene: Scene, groups: tuple[GroupPlan, ...], phases: tuple[PhasePlan, ...]
-) -> tuple[tuple[GroupPlan, ...], tuple[PhasePlan, ...]]:
-    """Return groups and phases with the volume correction of liquids.
-
-    The density correction leaves out liquids that share space.
+) -> tuple[GroupPlan, ...]:
+    """Return groups with the density correction of liquids, without those that share space.
 
     Raises:
         SceneError: Liquids of different density have one velocity field and a density correction.
     """
-    correction = scene.accuracy.volume_correction
-    if correction == "none":
-        return groups, phases
-    make = _with_shifting if correction == "shifting" else _with_density_correction
-    corrected = tuple(
-        make(scene, group, phases[group.phase])
-        if group.is_liquid and (correction == "shifting" or not group.shares)
+    if scene.accuracy.volume_correction != "density":
+        return groups
+    return tuple(
+        _with_density_correction(scene, group, phases[group.phase])
+        if group.is_liquid and not group.shares_space
         else group
         for group in groups
     )
-    shifted = {group.phase for group in corrected if group.shifts}
-    return corrected, tuple(
-        phase._replace(fills_by_volume=p in shifted and phase.min_cell_mass < phase.max_cell_mass)
-        for p, phase in enumerate(phases)
-    )
-
-
-def _with_shifting(scene: Scene, group: GroupPlan, phase: PhasePlan) -> GroupPlan:
-    """Return the group, whose particles are shifted."""
-    by_volume = phase.min_cell_mass < phase.max_cell_mass
-    cost = shift_cost(scene.accuracy.corrects_transfers, shift_interval(scene), by_volume)
-    return group._replace(shifts=True, cost=group.cost + cost.total)
 
 
 def _with_density_correction(scene: Scene, group: GroupPlan, phase: PhasePlan) -> GroupPlan:
@@ -393,11 +352,6 @@ def _with_density_correction(scene: Scene, group: GroupPlan, phase: PhasePlan) -
         raise scene.error([(("accuracy", "volume_correction"), message)])
     space = 1.0 / (group.density * scene.domain.cell**3)
     return group._replace(space=space, cost=group.cost + COSTS.density_correction.total)
-
-
-def _with_colors(group: GroupPlan, count: int) -> GroupPlan:
-    """Return the group with `count` color coefficients that are transferred in every step."""
-    return group._replace(coefficients=count, cost=group.cost + COSTS.color.total * count)
 
 
 def idle_phase(scene: Scene, real: np.dtype) -> tuple[tuple[PhasePlan, ...], tuple[GroupPlan, ...]]:
@@ -474,3 +428,41 @@ def _speed_squared(scene, k, pulls, size, center) -> float:
         height = max(abs(center[axis] - wall) - 0.5 * size, 0.0)
         fastest = max(fastest, 2.0 * abs(pull[axis]) * height)
     return fastest + scene.entities[k].speed ** 2
+
+
+def connected_sets(n: int, pairs: list[tuple[int, int]]) -> np.ndarray:
+    """Return the number of the connected set of each of n phases, -1 without a pair, shape (n,)."""
+    lowest = np.arange(n)
+    moved = True
+    while moved:  # usually two passes, even with thousands of bodies
+        moved = False
+        for a, b in pairs:
+            moved |= bool(lowest[a] != lowest[b])
+            lowest[a] = lowest[b] = min(lowest[a], lowest[b])
+    named = np.isin(np.arange(n), pairs)
+    set_of = np.full(n, -1)
+    if named.any():
+        set_of[named] = np.unique(lowest[named], return_inverse=True)[1]
+    return set_of
+
+
+def color_sets(scene: Scene) -> list[int | None]:
+    """Return the number of the set in which the colors of each object may travel.
+
+    Bodies of one phase, and of fluids that mix, are in one set. Scenery has None. Files store the
+    number (`color_group` of an object), so that a renderer need not know of couplings.
+    """
+    phase_of = [scene.phase_of(entity) for entity in scene.entities]
+    names = sorted({name for name in phase_of if name is not None})
+    number = {name: k for k, name in enumerate(names)}
+    numbers_of: dict[str, set[int]] = {}
+    for entity, name in zip(scene.entities, phase_of, strict=True):
+        if name is not None:
+            numbers_of.setdefault(str(entity.material), set()).add(number[name])
+    pairs = [(k, k) for k in range(len(names))]  # every phase is paired with itself
+    for coupling in scene.coupling:
+        if coupling.rule == MIXING:
+            first, second = (numbers_of.get(name, ()) for name in coupling.between)
+            pairs += [(a, b) for a in first for b in second]
+    set_of = connected_sets(len(names), pairs)
+    return [None if name is None else int(set_of[number[name]]) for name in phase_of]

@@ -13,27 +13,21 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from vgmpi.materials.couplings.contact_rule import Contact
-from vgmpi.materials.couplings.interaction import MIXING, InteractionRules
 from vgmpi.materials.material import law_function
 from vgmpi.scene.gravity import Keys, gravity_at, gravity_keys, mean_gravity
 from vgmpi.scene.keyframes import mean_ramp_factor
 from vgmpi.scene.scene import Scene
 from vgmpi.scene.scene_feature import phases_of_features
-from vgmpi.scene.sections import Accuracy
 
-from .color_exchange import ColorExchange, color_exchange
-from .correction_intervals import correction_interval, shift_interval
 from .feature_plan import FeaturePlan, PlanDraft, plan_features
-from .interaction_rules import interaction_rules, with_slip_wave_factors
 from .phases_and_groups import (
     GroupPlan,
     PhasePlan,
     groups_of,
     idle_phase,
     phases_of,
-    with_runtime_requirements,
+    with_corrections,
     with_soft_bodies,
-    with_volume_correction,
 )
 from .region_groups import RegionPlan
 from .step_costs import Proximity
@@ -46,16 +40,10 @@ PlannedFeature = TypeVar("PlannedFeature", bound=FeaturePlan)
 RIGID_STEPS = 10.0  # [-] steps of rigid bodies alone in the time in which a drop falls `cfl` cells
 MAX_STEPS = 2.0**52  # with more steps, a step is lost to rounding when it is added to the time
 
-
-class FlipBlend(NamedTuple):
-    """FLIP blend: how much particles keep of the motion that the grid does not resolve."""
-
-    share: float  # [-] fraction kept in each step
-    damping: float  # [s] time after which the fraction 1 / e is left
-
-    def over(self, dt: float) -> float:
-        """Return the fraction that is kept in a step of dt [s]."""
-        return self.share * math.exp(-dt / self.damping)
+# Longer intervals cost less. If the shortest waves oscillate within an interval of the transfer
+# correction, they regain more than they lost and grow (docs/benchmarks/extremes.md). The first is
+# the longest interval [steps], the second the longest travel of a wave in it [cells].
+MAX_CORRECTION_INTERVAL, MAX_WAVE_TRAVEL_CELLS = 3, 1.3
 
 
 class ContactWall(NamedTuple):
@@ -93,13 +81,9 @@ class Plan:
     cfl: float  # [-] CFL number
     fixed_dt: float  # [s], 0 if chosen by cfl
     rate: float  # [1/s] lower bound of 1 / dt from constant terms (viscosity, diffusion)
-    rules: InteractionRules | None = None  # interaction rules of phases that share space
-    colors: ColorExchange | None = None  # colors that are transferred in every step
     affine: bool = True  # particles carry the velocity gradient (APIC)
     splines: bool = False  # strains and forces use gradients of the B-splines
-    flip: FlipBlend | None = None  # FLIP and AFLIP
     correction_interval: int = 0  # [steps] interval of the transfer correction; 0: never
-    shift_interval: int = 0  # [steps] interval of particle shifting; 0: never
     gravity_ramp_time: float = 0.0  # [s] duration of the growth of gravity
     gravity_keys: Keys = ()  # (time, gravity) keyframes from the start on
     # thickness: [m] of every solid body, NaN for other objects; empty without fluids or if unknown
@@ -138,12 +122,19 @@ class Plan:
         return any(feature.source_names for feature in self.features)
 
     @property
-    def drifts(self) -> bool:
-        """True if fluids drift into each other by diffusion that is excluded from their momentum.
+    def pair_rules(self) -> np.ndarray | None:
+        """Interaction of each two phases, None if all are in contact; see `FeaturePlan`."""
+        rules = (feature.pair_rules for feature in self.features)
+        return next((pairs for pairs in rules if pairs is not None), None)
 
-        Mixing as printed in the paper does not exclude it.
-        """
-        return self.rules is not None and bool(self.rules.conservative_drift.any())
+    @property
+    def separates_stress(self) -> bool:
+        """True if all stress impulses are summed separately from momentum."""
+        return any(feature.separates_stress for feature in self.features)
+
+    def retained_share(self, dt: float) -> float:
+        """Return the share of unresolved motion that particles retain in a step of dt [s]."""
+        return sum(feature.retained_share(dt) for feature in self.features)
 
     @property
     def planes(self) -> tuple[ContactWall, ...]:
@@ -159,14 +150,12 @@ class Plan:
     @property
     def has_surface_friction(self) -> bool:
         """True if a body with a surface descriptor has friction against something."""
-        coefficients = [plane.friction for plane in self.planes]
+        frictions = [plane.friction for plane in self.planes]
         for p, phase in enumerate(self.phases):
             if phase.surface:
-                coefficients += [mu for q, mu in enumerate(self.friction[p]) if q != p]
-                coefficients += [
-                    row[p] for row in self.friction[len(self.phases) :]
-                ] * self.collider
-        return any(mu > 0 for mu in coefficients)
+                frictions += [mu for q, mu in enumerate(self.friction[p]) if q != p]
+                frictions += [row[p] for row in self.friction[len(self.phases) :]] * self.collider
+        return any(mu > 0 for mu in frictions)
 
     @property
     def particles(self) -> int:
@@ -221,9 +210,8 @@ class Plan:
             + self.has_surface_friction
             + any(group.separates_stress for group in self.groups)
         )
-        layers += max(group.coefficients for group in self.groups)
-        layers += any(phase.fills_by_volume for phase in self.phases)
-        more = (self.rules is not None) + (self.flip is not None) + self.drifts
+        layers += sum(feature.summed_fields for feature in self.features)
+        more = sum(len(feature.gathered) for feature in self.features)
         # A block holds about 300 particles and reaches node blocks without particles.
         blocks = 4.0 * self.particles / 300.0 + 27 * len(self.phases)
         return total + int(blocks * nodes * (layers * sum_bytes + more * width))
@@ -231,7 +219,7 @@ class Plan:
 
 def make_plan(
     scene: Scene, count: list[int], volume: list[float], collider: bool,
-    center: list[list[float]] | None = None, shades: np.ndarray | None = None,
+    center: list[list[float]] | None = None,
     surface: list[bool] | None = None, prepared: Any = None,
 ) -> Plan:  # fmt: skip
     """Return the plan of a scene. Raises SceneError if no time step satisfies the scene.
@@ -242,7 +230,6 @@ def make_plan(
         volume: Total volume of each [m3].
         collider: True if there are colliders.
         center: Center of each [m]; without it the names order bodies of equal volume.
-        shades: Color range, see `color_exchange.coefficient_ranges`.
         surface: Whether the particles of each know its surface; default: none.
         prepared: Prepared data of features by name, see scene/scene_feature.py.
     """
@@ -252,15 +239,11 @@ def make_plan(
     phases = phases_of(scene, bodies, volume, center, surface, phases_of_features(scene))
     plain, group_of = groups_of(scene, bodies, phases, real)
     phases, plain = (phases, plain) if bodies else idle_phase(scene, real)
-    sharing, colors = interaction_rules(scene, plain, phases), color_exchange(scene, phases, shades)
-    _check_transfer(scene, sharing)
-    flip, interval = _flip_blend(scene.accuracy), correction_interval(scene)
-    complete = tuple(
-        with_runtime_requirements(scene, group, sharing, colors, flip, interval) for group in plain
-    )
-    complete = with_slip_wave_factors(complete, sharing, scene.courant_number * scene.domain.cell)
-    complete, phases = with_volume_correction(scene, complete, phases)
-    draft = plan_features(PlanDraft(scene, phases, complete, group_of, count), prepared or {})
+    draft = PlanDraft(scene, phases, plain, group_of, count)
+    draft = plan_features(draft, prepared or {}, True)
+    interval = correction_interval(scene)
+    complete = with_corrections(scene, draft.groups, draft.phases, interval)
+    draft = plan_features(draft._replace(groups=complete), prepared or {}, False)
     groups = draft.groups
     phases = with_soft_bodies(scene, draft.phases, groups, volume, center)
     plan = Plan(
@@ -272,16 +255,24 @@ def make_plan(
         collider=collider,
         stiff=_wave_moduli(groups, len(phases)), contact=len(phases) > 1,
         times=np.linspace(0.0, scene.time.end, scene.time.frames),
-        cfl=scene.courant_number, fixed_dt=scene.time.dt, rate=_rate(scene, groups, sharing),
-        rules=sharing, colors=colors, affine=scene.accuracy.affine, flip=flip,
+        cfl=scene.courant_number, fixed_dt=scene.time.dt, rate=_rate(scene, groups, draft.features),
+        affine=scene.accuracy.affine,
         correction_interval=interval,
         splines=scene.accuracy.gradient == "bspline",
-        shift_interval=shift_interval(scene) * any(group.shifts for group in groups),
         gravity_ramp_time=scene.domain.gravity_ramp_time,
         gravity_keys=gravity_keys(scene.domain), features=draft.features,
     )  # fmt: skip
+    _check_transfer(scene, plan)
     _check_steps(scene, plan)
     return plan
+
+
+def correction_interval(scene: Scene) -> int:
+    """Return the number of steps between two transfer corrections, 0: never."""
+    if not (scene.accuracy.corrects_transfers and scene.has_particles):
+        return 0
+    travel = int(MAX_WAVE_TRAVEL_CELLS / scene.courant_number)
+    return max(1, min(MAX_CORRECTION_INTERVAL, travel))
 
 
 def _friction_table(
@@ -310,11 +301,11 @@ def _friction_table(
     return tuple(tuple(float(v) for v in row) for row in out)
 
 
-def _rate(scene: Scene, groups: tuple[GroupPlan, ...], sharing: InteractionRules | None) -> float:
-    """Return the lower bound of 1 / dt [1/s] due to viscosity and diffusion."""
-    spread = sharing.diffusion.max(initial=0.0) if sharing else 0.0
+def _rate(scene: Scene, groups: tuple[GroupPlan, ...], features: tuple[FeaturePlan, ...]) -> float:
+    """Return the lower bound of 1 / dt [1/s] due to viscosity, features and gravity."""
     viscosity = max(scene.material[group.material].kinematic_viscosity for group in groups)
-    return max(max(6.0 * viscosity, 6.0 * spread) / scene.domain.cell**2, falling_rate(scene))
+    rates = (6.0 * viscosity / scene.domain.cell**2, *(each.min_rate for each in features))
+    return max(*rates, falling_rate(scene))
 
 
 def falling_rate(scene: Scene) -> float:
@@ -357,16 +348,7 @@ def time_step_bounds(scene: Scene, plan: Plan, stiffened: bool = False) -> list[
     dx, bounds = scene.domain.cell, []
     if rate := falling_rate(scene):
         bounds.append((1.0 / rate, "gravity across a cell"))
-    used = {group.material for group in plan.groups}
-    for coupling in scene.coupling:
-        if (
-            coupling.rule == MIXING
-            and coupling.diffusivity > 0
-            and used.issuperset(coupling.between)
-        ):
-            first, second = coupling.between
-            bound = dx**2 / (6.0 * coupling.diffusivity)
-            bounds.append((bound, f"the diffusion of materials {first!r} and {second!r}"))
+    bounds += [bound for feature in plan.features for bound in feature.step_bounds]
     speeds = initial_speeds(scene, plan)
     for k, entity in enumerate(scene.entities):
         if entity.material is None:
@@ -386,18 +368,10 @@ def time_step_bounds(scene: Scene, plan: Plan, stiffened: bool = False) -> list[
     return sorted(bounds)
 
 
-def _flip_blend(accuracy: Accuracy) -> FlipBlend | None:
-    """Return the FLIP blend that the scene asks for, or None."""
-    if not accuracy.is_flip:
-        return None
-    if accuracy.flip_ratio is not None:
-        return FlipBlend(accuracy.flip_ratio, math.inf)
-    return FlipBlend(1.0, accuracy.flip_decay_time)
-
-
-def _check_transfer(scene: Scene, sharing: InteractionRules | None) -> None:
+def _check_transfer(scene: Scene, plan: Plan) -> None:
     """Reject gradients of splines where the transfer scheme does not support them."""
-    if scene.accuracy.gradient == "bspline" and (scene.accuracy.affine or sharing is not None):
+    shares_space = plan.pair_rules is not None
+    if scene.accuracy.gradient == "bspline" and (scene.accuracy.affine or shares_space):
         message = "bspline is for pic and flip, in scenes without mixing and drag"
         raise scene.error([(("accuracy", "gradient"), message)])
 

@@ -75,12 +75,12 @@ class StepCosts(NamedTuple):
 
     law: StageCost  # shares of the step of a particle with its law alone: the sum is 1
     correction: StageCost  # one transfer correction
-    shift: StageCost  # one shift of particles, in addition to a transfer correction
+    fullness: StageCost  # of nodes, and shift of particles, besides a transfer correction
     rest_volume: StageCost  # one sum of rest volumes, where liquids differ in density
-    flip: StageCost  # FLIP and AFLIP
+    separate_stress: StageCost  # stress impulses of their own, and the blend of FLIP
     cell_dilatation: StageCost  # dilatation by cells
     density_correction: StageCost
-    color: StageCost  # one color coefficient that is transferred in every step
+    carried_values: StageCost  # one nodal field of values that particles carry and exchange
     surface_contact: ProximityCost  # contact of solids with surface descriptors
     contact: ProximityCost  # contact of other bodies
     mixing: ProximityCost
@@ -94,12 +94,12 @@ class StepCosts(NamedTuple):
 COSTS = StepCosts(
     law=StageCost(0.38, 0.06, 0.52, 0.04),
     correction=StageCost(0.46, 0.02, 0.24),
-    shift=StageCost(0.0, 0.03, 0.26),
+    fullness=StageCost(0.0, 0.03, 0.26),
     rest_volume=StageCost(0.5, 0.1),
-    flip=StageCost(0.39, 0.05, 0.24),
+    separate_stress=StageCost(0.39, 0.05, 0.24),
     cell_dilatation=StageCost(0.05, 0.1, 0.2),
     density_correction=StageCost(0.0, 0.0, 0.1),
-    color=StageCost(0.3, 0.05, 0.25),
+    carried_values=StageCost(0.3, 0.05, 0.25),
     surface_contact=ProximityCost(
         StageCost(0.13, 0.01, 0.07), StageCost(23.0, 10.0, 20.0), StageCost(0.0, 6.0)
     ),

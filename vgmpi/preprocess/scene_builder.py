@@ -10,9 +10,8 @@ import numpy as np
 
 from vgmpi.gaussians.capture_conventions import render_model
 from vgmpi.gaussians.formats.validation import GaussianFileError
-from vgmpi.planning.color_exchange import color_sets
 from vgmpi.planning.particle_channels import SURFACE
-from vgmpi.planning.phases_and_groups import phases_with_surface, stores_deformation
+from vgmpi.planning.phases_and_groups import color_sets, phases_with_surface, stores_deformation
 from vgmpi.preprocess.meshes.surface_mesh import MeshError
 from vgmpi.runtime import process_limits
 from vgmpi.scene.objects import Object
@@ -36,7 +35,7 @@ from .motion_checks import (
 )
 from .object_builder import build_object
 from .placement import PlacementError
-from .setting_checks import report_flip_ratio, warn_of_locking, warn_of_unlikely_objects
+from .setting_checks import warn_of_locking, warn_of_unlikely_objects
 
 log = logging.getLogger("vgmpi")
 
@@ -136,7 +135,6 @@ def build_scene(scene: Scene) -> PreparedScene:
     warnings = warn_of_overlaps(scene, pieces)
     warn_of_locking(scene)
     warn_of_unlikely_objects(scene, pieces)
-    report_flip_ratio(scene)
     colliders = [piece.collider for piece in pieces if piece.collider is not None]
     for feature in features():
         errors += feature.check_bodies(scene, pieces, colliders)
@@ -238,14 +236,15 @@ def _join(scene: Scene, pieces: list[BuiltObject]) -> PreparedScene:
     x = _rows(pieces, bodies, lambda p: p.cloud.x)
     vol0, owner = _rows(pieces, bodies, lambda p: p.volume), _owners(pieces, bodies)
     colliders = _colliders(scene, pieces, x)
-    particles = InitialParticles(x, vol0, owner, objects)
+    appearance = _appearance(pieces, bodies, terms)
+    particles = InitialParticles(x, vol0, owner, objects, appearance["sh"])
     features, colliders = prepare_features(scene, particles, colliders)
     return PreparedScene(
         x=x,
         v0=np.concatenate([np.zeros((0, 3)), *(_velocity(scene, k, pieces[k]) for k in bodies)]),
         vol0=vol0,
         object=owner,
-        **_appearance(pieces, bodies, terms),
+        **appearance,
         scenery=scenery,
         objects=objects,
         colliders=colliders,

@@ -29,16 +29,6 @@ def warn_of_locking(scene: Scene) -> None:
                         name, ratio)  # fmt: skip
 
 
-def report_flip_ratio(scene: Scene) -> None:
-    """Log that a FLIP ratio per step makes losses depend on the time step."""
-    if scene.accuracy.is_flip and scene.accuracy.flip_ratio is not None:
-        log.info(
-            "accuracy.flip_ratio = %g is kept in each step: the shorter the step, the more is lost;"
-            " accuracy.flip_decay_time is a time",
-            scene.accuracy.flip_ratio,
-        )
-
-
 def warn_of_unlikely_objects(scene: Scene, pieces: list[BuiltObject]) -> None:
     """Warn of objects that are lost in the domain, and of bodies too soft to stand.
 

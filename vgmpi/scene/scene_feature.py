@@ -23,8 +23,10 @@ from .sections import SECTIONS
 # In the order in which they act, and plan but for `moves_bodies`. It numbers groups and orders
 # sums: part of the results.
 FEATURES = (
+    "mixtures", "color_transfer", "flip",
     "wave_zones", "loads", "moving_colliders", "implicit_pressure", "surface_slip", "pinned_parts",
     "rigid_bodies", "prescribed_motion", "reactions", "inlets_outlets", "releases", "thin_walls",
+    "shifting",
 )  # fmt: skip
 
 Errors = list[tuple[tuple, str]]  # (path of a key, message)
@@ -41,6 +43,7 @@ class InitialParticles(NamedTuple):
     vol0: np.ndarray  # (n,) [m3] rest volumes
     owner: np.ndarray  # (n,) object of each
     entries: list[dict]  # of the objects and particle sources in output files
+    sh: np.ndarray  # (n, K, 3) spherical harmonics of the colors
 
 
 class ParticleSource(StrictModel):
@@ -118,6 +121,7 @@ class SceneFeature:
         missing_engines: Engines that cannot run it.
         pushes_alone: Whether it does no more than to push particles before a step.
         moves_bodies: Whether it gives whole bodies groups of their own: it plans before others.
+        precedes_copies: Whether it plans before these copy groups.
         hints: What messages add on the help that it gives, by problem: "open mesh".
     """
 
@@ -128,7 +132,7 @@ class SceneFeature:
     section_keys: Mapping[str, type[StrictModel]] = {}
     lists: Mapping[str, TableList] = {}
     missing_engines: tuple[str, ...] = ()
-    pushes_alone = moves_bodies = False
+    pushes_alone = moves_bodies = precedes_copies = False
     hints: Mapping[str, str] = {}
 
     def keys_of(self, obj: Object) -> list[str]:

@@ -178,12 +178,6 @@ class Accuracy(StrictModel):
     linear and angular momentum. aflip: retains motion too fine for the grid, for the time
     `flip_decay_time`, and takes 1.3 times as long. flip: without APIC's gradients, at some noise.
     pic: damps"""
-    flip_decay_time: Annotated[float, Quantity("s", gt=0)] = 0.1
-    """aflip, flip: time in which particles lose all but 1/e of the motion the grid does not
-    resolve"""
-    flip_ratio: Annotated[float, Quantity("", gt=0, le=1)] | None = None
-    """aflip, flip: FLIP ratio, the fraction of that motion retained in each step, in place of
-    `flip_decay_time`: then losses depend on the step"""
     gradient: Literal["mls", "bspline"] = "mls"
     """gradients for strains and forces. mls: moments of moving least squares. bspline: gradients of
     the B-splines, with pic and flip only; a bending body that rotates against the grid keeps its

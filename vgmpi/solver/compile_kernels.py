@@ -188,9 +188,10 @@ def _run(plan: Plan, calls: list[tuple] | None) -> None:
     )  # fmt: skip
     dt = 1e-6 * simulation.bound()
     simulation.advance(dt)
-    if plan.correction_interval or plan.shift_interval:
-        simulation.correct_transfers(dt, bool(plan.shift_interval))
-    if plan.shift_interval and plan.correction_interval not in (0, plan.shift_interval):
+    own = max((feature.correction_interval for feature in plan.features), default=0)
+    if plan.correction_interval or own:
+        simulation.correct_transfers(dt, own > 0)
+    if own and plan.correction_interval not in (0, own):
         simulation.correct_transfers(dt)
     conservation_rows(simulation)
     for feature in simulation.features.values():

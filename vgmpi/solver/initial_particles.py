@@ -14,7 +14,6 @@ from vgmpi import gaussians, preprocess
 from vgmpi.io import checkpoint, file_layout, hdf5_writer, initial_state
 from vgmpi.io.run_reader import RunError, opened, read_gaussians
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.planning.color_exchange import coefficient_ranges
 from vgmpi.planning.plan import Plan, make_plan
 from vgmpi.planning.region_groups import region_plans
 from vgmpi.planning.step_costs import Proximity
@@ -37,7 +36,6 @@ class ParticleSummary:
     volume: list[float]
     center: list[list[float]]  # [m] center of mass
     colliders: list
-    shades: np.ndarray | None = None  # coefficient ranges of the transported colors
     thickness: tuple[float, ...] = ()  # [m] see plan.Plan
     surroundings: tuple[Proximity, ...] = ()
     weights: tuple[float, ...] = ()  # [Pa] see plan.Plan
@@ -134,7 +132,9 @@ def _build_or_read(
             gaussians = read_gaussians(path)
             log.info("particles as prepared before: %s", path)
             particles, objects = (gaussians.x0, gaussians.vol0, gaussians.object), gaussians.objects
-            prepared, _ = prepare_features(scene, InitialParticles(*particles, objects), [])
+            prepared, _ = prepare_features(
+                scene, InitialParticles(*particles, objects, gaussians.sh), []
+            )
             summary = _summary_of(scene, objects, gaussians, gaussians.x0, [])
             return replace(summary, features=prepared), {}
         except RunError as error:
@@ -211,7 +211,7 @@ def _summary_of(scene, objects, particles, x, colliders) -> ParticleSummary:
     Args:
         scene: The scene.
         objects: Entries of the objects and particle sources.
-        particles: Particles with object (n,), vol0 (n,) [m3] and sh (n, K, 3).
+        particles: Particles with object (n,) and vol0 (n,) [m3].
         x: Positions, shape (n, 3) [m].
         colliders: Colliders of the scene.
     """
@@ -219,10 +219,6 @@ def _summary_of(scene, objects, particles, x, colliders) -> ParticleSummary:
     total = np.bincount(object_of, volume, minlength=len(objects))
     moment = [np.bincount(object_of, volume * x[:, a], minlength=len(objects)) for a in range(3)]
     center = (np.array(moment) / np.maximum(total, 1e-300)).T
-    colors_travel = scene.appearance.color_transfer == "step"
-    color_ranges = (
-        coefficient_ranges(len(objects), particles.object, particles.sh) if colors_travel else None
-    )
     thickness = _thicknesses(objects, x, total)
     proximity = surroundings(scene, objects, x, colliders)
     return ParticleSummary(
@@ -230,7 +226,6 @@ def _summary_of(scene, objects, particles, x, colliders) -> ParticleSummary:
         total.tolist(),
         center.tolist(),
         colliders,
-        color_ranges,
         thickness,
         proximity,
         liquid_weights(scene, objects, x),
@@ -271,7 +266,7 @@ def plan_for(scene: Scene, summary: ParticleSummary) -> Plan:
     colliders = bool(summary.colliders)
     surface = [bool(entry.get("surface")) for entry in summary.objects]
     plan = make_plan(
-        scene, summary.count, summary.volume, colliders, summary.center, summary.shades, surface,
+        scene, summary.count, summary.volume, colliders, summary.center, surface,
         summary.features,
     )  # fmt: skip
     courses = [course for feature in plan.features for course in feature.courses()]

@@ -16,7 +16,6 @@ from vgmpi.kernels.step_records import (
     StepSpan,
 )
 from vgmpi.kernels.transfer import g2p
-from vgmpi.kernels.transfer.particle_shifting import MAX_SHIFT_CELLS
 from vgmpi.parallel import migration
 from vgmpi.parallel.block_lattice import BlockLattice
 from vgmpi.parallel.block_ownership import BlockDirectory
@@ -28,7 +27,6 @@ from vgmpi.planning.feature_plan import first_reaction_rows
 from vgmpi.planning.plan import Plan
 from vgmpi.solver.engines.engine_protocol import Engine
 from vgmpi.solver.engines.plan_tables import topology_requirements
-from vgmpi.solver.engines.shift_tables import shift_constants
 
 from .failure_message import failure_message
 from .run_options import engine_of
@@ -73,13 +71,16 @@ class Simulation:
         self.gravity = np.array(plan.gravity)
         self.exchange = GridExchange(
             topology_requirements(plan), self.lattice, ranks, self.collider_nodes,
-            self.engine.words, bool(plan.correction_interval or plan.shift_interval),
+            self.engine.words,
+            bool(
+                plan.correction_interval
+                or any(each.correction_interval for each in plan.features)
+            ),
         )  # fmt: skip
         self.cut: np.ndarray | None = None
         self.time, self.step, self.rate, self.particle_maxima = 0.0, 0, 0.0, UNKNOWN_MAXIMA
-        # the next shift must leave particles in their patches
-        margin = 1.2 * MAX_SHIFT_CELLS if plan.shift_interval else 0.0
-        margin += sum(1.2 * feature.margin for feature in self.features.values())
+        # what features then move must stay in its patch
+        margin = sum(1.2 * feature.margin for feature in self.features.values())
         self.max_stray = g2p.MAX_STRAY_CELLS - margin
         self.sorts = self.sorted_at = 0
         self.moved = 0  # particles that left this rank for another
@@ -239,17 +240,22 @@ class Simulation:
         return self.gravity
 
     def _correct_if_due(self, dt: float) -> list[AccumulatorOverflow]:
-        """Restore motion and shift particles before a step of dt [s] in which they are due."""
-        origins = (feature.correction_origin for feature in self.features.values())
-        steps = self.step - max(origins, default=0)
-        shifts, corrects = (
-            bool(interval) and steps > 0 and steps % interval == 0
-            for interval in (self.plan.shift_interval, self.plan.correction_interval)
+        """Make a step of no time before a step of dt [s] in which one is due."""
+        features = self.features.values()
+        steps = self.step - max((each.correction_origin for each in features), default=0)
+        with_features, corrects = (
+            any(interval and steps > 0 and steps % interval == 0 for interval in intervals)
+            for intervals in (
+                [each.correction_interval for each in features],
+                [self.plan.correction_interval],
+            )
         )
-        return self.correct_transfers(dt, shifts, corrects) if shifts or corrects else []
+        if not (with_features or corrects):
+            return []
+        return self.correct_transfers(dt, with_features, corrects)
 
     def correct_transfers(
-        self, dt: float, shifts: bool = False, corrects: bool = True
+        self, dt: float, with_features: bool = False, corrects: bool = True
     ) -> list[AccumulatorOverflow]:
         """Restore motion that the last transfers dissipated (transfer correction). Collective.
 
@@ -257,18 +263,21 @@ class Simulation:
 
         Args:
             dt: Length of the next step [s].
-            shifts: Whether the particles of liquids are shifted.
+            with_features: Whether features take part.
             corrects: Whether motion is restored.
         """
-        shift = None
-        if shifts:
-            shift = shift_constants(self.plan, self.plan.shift_interval * dt, self.step)
+        features = self.features.values()
+        kinds = None
+        if with_features:
+            own = (feature.correction_kinds(dt, self.step) for feature in features)
+            kinds = next((each for each in own if each is not None), None)
         fastest = self.particle_maxima.fastest(self.plan, dt, 0.0)
-        self.engine.begin(0.0, np.zeros(3), fastest, shift)
+        self.engine.begin(0.0, np.zeros(3), fastest, kinds)
         self._update_grid(self.exchange.correction_halo)
         overflows = self.engine.correct_transfers(self.plan.correction_interval if corrects else 0)
-        for feature in self.features.values():
-            feature.end_correction(self.time)
+        moves = any(feature.correction_interval for feature in features)
+        for feature in features:
+            feature.end_correction(self.time, moves)
         if self.clock:
             self.clock("g2p")
         return overflows

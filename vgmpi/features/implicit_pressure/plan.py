@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from vgmpi.planning.feature_plan import FeaturePlan, PlanDraft
-from vgmpi.planning.phases_and_groups import GroupPlan, PhasePlan
+from vgmpi.planning.phases_and_groups import GroupPlan, PhasePlan, WaveTerms
 from vgmpi.planning.plan import Plan, time_step_bounds
-from vgmpi.planning.step_costs import StageCost
+from vgmpi.planning.step_costs import StageCost, StepCosts
 from vgmpi.scene.scene import Scene
 from vgmpi.scene.scene_feature import features
 
@@ -23,8 +23,12 @@ class ImplicitPressurePlan(FeaturePlan):
     name, title = "implicit_pressure", "implicit pressure"
     gathered = (DISPLACEMENT,)
 
-    def particle_cost(self, group: GroupPlan) -> StageCost | None:
-        """Return what it costs per particle of a liquid."""
+    def particle_cost(self, group: GroupPlan, costs: StepCosts) -> StageCost | None:
+        """Return what it costs per particle of a liquid.
+
+        Args:
+            group, costs: See `FeaturePlan.particle_cost`.
+        """
         return COST if group.separate_pressure else None
 
     def field_requests(self, plan: Plan) -> tuple:
@@ -33,23 +37,20 @@ class ImplicitPressurePlan(FeaturePlan):
 
         return (request_particle_pressure(plan),)
 
-    def gathers(self, group: GroupPlan) -> bool:
-        """Return whether the particles of a group gather its displacement and pressure."""
-        return group.separate_pressure
+    def gathers(self, group: GroupPlan) -> tuple[str, ...]:
+        """Return what the particles of a group gather: its displacement and pressure."""
+        return self.gathered if group.separate_pressure else ()
 
-    def gather_kind(self, group: GroupPlan, gathered: dict) -> Any:
-        """Return the kind with which the particles of a group gather them, or None.
+    def gather_kind(self, group: GroupPlan, nodes: dict, dt: float, patch: int) -> Any:
+        """Return the kind with which the particles of a group gather them.
 
         Args:
-            group: The group.
-            gathered: Auxiliary nodal values by name.
+            group, nodes, dt, patch: See `FeaturePlan.gather_kind`.
         """
-        if not group.separate_pressure:
-            return None
         from .pressure_transfer import ImplicitPressureGather
 
         exponent = group.law.gamma  # type: ignore[attr-defined]
-        return ImplicitPressureGather(gathered[DISPLACEMENT], exponent)
+        return ImplicitPressureGather(nodes[DISPLACEMENT], exponent)
 
     def for_compilation(self) -> "ImplicitPressurePlan":
         """Return this plan: its kernels act on all particles."""
@@ -82,7 +83,10 @@ def plan_implicit_pressure(draft: PlanDraft) -> tuple[ImplicitPressurePlan, Plan
         raise draft.scene.error(wrong)
     groups = tuple(
         group._replace(
-            separate_pressure=True, softens_spray=False, slips=0.0, cost=group.cost + COST.total
+            separate_pressure=True,
+            softens_spray=False,
+            wave=WaveTerms(factor=0.0),
+            cost=group.cost + COST.total,
         )
         for group in draft.groups
     )

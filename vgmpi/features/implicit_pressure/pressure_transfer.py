@@ -32,9 +32,9 @@ from vgmpi.kernels.transfer.auxiliary_gather import (
     load_mirrored_patch,
     load_patches,
     max_velocity,
-    mixture_wave_speed_squared,
     particle_velocity,
     velocity_gradient,
+    wave_speed_squared,
 )
 from vgmpi.planning.plan import Plan
 from vgmpi.runtime.jit import always_inline
@@ -126,6 +126,6 @@ def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
     return (c0 - third, c1, c2, c3, c4 - third, c5, c6, c7, c8 - third)
 
 
-@mixture_wave_speed_squared.register(ImplicitPressureGather)
-def _(kind, f, p, cap, numbers, wave2):
+@wave_speed_squared.register(ImplicitPressureGather)
+def _(kind, f, p, cap, wave2):
     return 0.0 * wave2

@@ -117,9 +117,13 @@ class Inlets:
         self.carried = [carried.after(time) for carried in self.carried]
         return report._replace(stray=distance)
 
-    def end_correction(self, time: float) -> None:
-        """Reset what a step of no time, at `time` [s], has changed of the nozzle particles."""
-        if self.plan.shift_interval:
+    def end_correction(self, time: float, moves: bool) -> None:
+        """Reset what a step of no time has changed of the nozzle particles.
+
+        Args:
+            time, moves: See `ActiveFeature.end_correction`.
+        """
+        if moves:
             for carried in self.carried:
                 if len(carried.indices):
                     self._set_positions(carried, time)
@@ -176,7 +180,7 @@ class Inlets:
         """Return the particles with the numbers `first` to `last` (exclusive) of an inlet."""
         ids = source.first + np.arange(first, last)
         v = np.tile(source.velocity, (len(ids), 1))
-        sh = np.zeros((len(ids), self._coefficients(), 3))
+        sh = np.zeros((len(ids), 1, 3))
         sh[:, 0] = dc_from_rgb(np.array(source.color)).astype(np.float32)  # single, as in files
         return ParticleRows(
             source.places(ids, time),
@@ -186,10 +190,6 @@ class Inlets:
             np.full(len(ids), source.entity),
             sh=sh,
         )
-
-    def _coefficients(self) -> int:
-        """Return the number of color coefficients of the group that has most."""
-        return max(1, *(group.coefficients for group in self.plan.groups))
 
 
 class _Region:
@@ -295,9 +295,9 @@ class InletsOutlets(ActiveFeature):
         carried = [each.indices for each in self.inlets.carried if each.group is group]
         return np.concatenate([np.zeros(0, np.int64), *carried])
 
-    def end_correction(self, time: float) -> None:
+    def end_correction(self, time: float, moves: bool) -> None:
         """Reset what a step of no time, at `time` [s], has changed of the nozzle particles."""
-        self.inlets.end_correction(time)
+        self.inlets.end_correction(time, moves)
 
     def end_step(self, span: StepSpan, report: StepReport) -> StepReport:
         """Move the nozzle particles, then remove those in outlets."""

@@ -49,8 +49,8 @@ class ContactNode(NamedTuple):
 
 
 @device_function
-def apply_contact(block, tables, solid, velocities, offsets, shear, solids, walls, phases, rules,
-                  step, work):  # fmt: skip
+def apply_contact(block, tables, solid, velocities, offsets, shear, solids, walls, phases,
+                  pair_rules, step, work):  # fmt: skip
     """Apply contact at the nodes of a block.
 
     Args:
@@ -83,7 +83,7 @@ def apply_contact(block, tables, solid, velocities, offsets, shear, solids, wall
             work.pair_count[q] = 0
         site = ContactNode(active, node, active + rigid + planes == 2, solid)
         set_node(work.reactions, node, ijk[0], ijk[1], ijk[2])
-        pairs = _pairs(site, tables.phase, offsets, phases, rules, motions, step, work)
+        pairs = _pairs(site, tables.phase, offsets, phases, pair_rules, motions, step, work)
         if rigid:
             surface = solids.nodes[solid, node]
             number = solids.collider_number[solid, node] if len(solids.collider_number) > 0 else 0
@@ -185,7 +185,7 @@ def _active(block, node, velocities, phase, cell_mass, node_blocks):
 
 
 @always_inline
-def _pairs(site, phase, offsets, phases, rules, motions, step, work):
+def _pairs(site, phase, offsets, phases, pair_rules, motions, step, work):
     """Find the pairs of phases that touch each other, in order; return their number.
 
     Pairs that meet by an elastic layer change work.change, the others are stored as pairs: masters,
@@ -196,8 +196,8 @@ def _pairs(site, phase, offsets, phases, rules, motions, step, work):
         ph = phase[work.node_block[q]]
         for r in range(q + 1, site.active):
             other = phase[work.node_block[r]]
-            if rules is not None:
-                if rules.pair[ph, other] != CONTACT:
+            if pair_rules is not None:
+                if pair_rules[ph, other] != CONTACT:
                     continue
             both_driven = _driven(motions, ph) and _driven(motions, other)
             if both_driven or are_apart(phases, ph, other, site.solid, site.node, step.dx):

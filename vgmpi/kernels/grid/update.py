@@ -7,24 +7,27 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vgmpi.kernels.kernel_arguments import NODE_MASS_FLOOR, Sums
+from vgmpi.kernels.kernel_arguments import NODE_MASS_FLOOR, BlockContext, NodalFields, Sums
 from vgmpi.kernels.reaction_impulses import set_block
 from vgmpi.kernels.reproducible_sums import blocks_at, finalize_node_block, sums_at
 from vgmpi.kernels.rigid.prescribed_motion import PrescribedSteps
 from vgmpi.kernels.rigid.prescribed_transfer import set_prescribed_velocity
-from vgmpi.kernels.simd.cooperative import flat_pointer, strided_range, sync_threads
-from vgmpi.kernels.simd.row_ops import broadcast, fourth_of, tile, velocity, with_fourth
+from vgmpi.kernels.simd.cooperative import sync_threads
+from vgmpi.kernels.simd.row_ops import broadcast, tile, velocity
 from vgmpi.kernels.simd.vector16 import load, pointer, store
-from vgmpi.kernels.wall_boundary import apply_wall_conditions, project_tangential
+from vgmpi.kernels.wall_boundary import apply_wall_conditions
 from vgmpi.materials.couplings.interaction import CONTACT
-from vgmpi.materials.tensor_math.select import select
 from vgmpi.runtime.jit import borrowing_kernel, device_function
 
 from .collider_hold import pushed_phase
 from .contact import apply_contact, has_several_parties
 from .divided_nodes import part_phases, unite_phases
-from .mixture_coupling import BlockContext, NodalFields, couple_block, store_mixture_values
-from .mixture_workspace import to_pointers
+from .node_stages import (
+    add_own_impulses,
+    after_stress,
+    after_walls,
+    before_stress,
+)
 
 CONTACT_ENABLED = True  # whether contact is compiled in; the GPU engine sets it per scene
 
@@ -49,28 +52,16 @@ class CommonFields(NamedTuple):
     offsets: Sums
 
 
-class SeparatedStress(NamedTuple):
-    """Stress impulses that are kept separate from momentum, and what follows from them."""
-
-    impulses: Sums  # [kg m/s], and volumes [m3]
-    # (node blocks, 256) quantities gathered besides velocity; any array where there is none
-    flux: np.ndarray  # volume flux [m/s]
-    drift: np.ndarray  # drift velocity [m/s]
-    change: np.ndarray  # change of velocity [m/s]
-    needs_change: int  # whether the change is needed (FLIP)
-    workspace: tuple  # MixtureWorkspace, scratch of the calling thread
-    tables: tuple  # MixtureTables
-
-
 @borrowing_kernel
-def update(blocks, tables, summed, shear, stress, rules, walls, phases, solids, scratch, step,
+def update(blocks, tables, summed, shear, stress, pair_rules, walls, phases, solids, scratch, step,
            report):  # fmt: skip
     """Compute the velocities [m/s] at the nodes of some blocks, in place of momentum.
 
     Args:
         blocks, tables, summed: Blocks to process, node blocks of the rank, common fields (in/out).
         shear, stress: Shear sums and separate stress impulses (in/out); each may be None.
-        rules, walls, phases, step: See kernels/kernel_arguments.py; rules may be None.
+        pair_rules: Interaction of each pair of phases, shape (phases, phases), or None: contact.
+        walls, phases, step: See kernels/kernel_arguments.py.
         solids, scratch, report: Boundaries, scratch of the thread, overflows by field (out).
     """
     momentum, offsets = summed.momentum, summed.offsets
@@ -83,9 +74,9 @@ def update(blocks, tables, summed, shear, stress, rules, walls, phases, solids, 
     shears = None if shear is None else sums_at(shear)
     if stress is not None:
         impulse_sums = sums_at(stress.impulses)
-        fields = _fields(rows, cell_mass, last, nodes, impulse_sums.nodes, moments.nodes, stress)
-        if rules is not None:
-            work, pairs = to_pointers(stress.workspace, stress.tables)
+        fields = NodalFields(
+            rows.phase, cell_mass, last, nodes, impulse_sums.nodes, moments.nodes
+        )  # fmt: skip
     first, phase_of = pointer(tables.first), rows.phase
     push = tile(step.gravity_increment, 0)
     for b in blocks:
@@ -103,41 +94,22 @@ def update(blocks, tables, summed, shear, stress, rules, walls, phases, solids, 
         block = _context(b, n0, n1, tables, last)
         set_prescribed_velocity(block, nodes, phase_of, solids.motions, step.dx)
         if stress is not None:
-            noted = has_impulses and stress.needs_change
-            if noted:
-                _store_velocity_before(block, fields, push)
-            if has_impulses and rules is None:
-                _add_stress_impulse(block, fields)
-            if rules is not None:
-                if noted:
-                    _add_stress_impulse_unshared(block, fields, pairs)
-                if has_impulses:
-                    if block.at_wall and block.may_touch:
-                        _project_offsets(moments.nodes, block, walls, phases, phase_of)
-                    couple_block(block, fields, work, pairs, step.dt, step.dx)
+            if has_impulses:
+                before_stress(stress.kind, block, fields, push)
+                if stress.adds_own:
+                    add_own_impulses(block, fields, stress.shared)
+                after_stress(stress.kind, block, fields, stress.scratch, walls, phases, step)
         unite_phases(phases, block, tables.solid[b], phase_of, nodes, moments.nodes, step.dx)
         touches = block.may_touch and _may_touch(
-            block, tables.solid[b], phase_of, solids, rules, step
+            block, tables.solid[b], phase_of, solids, pair_rules, step
         )
         if CONTACT_ENABLED and touches:
             apply_contact(block, tables, tables.solid[b], nodes, moments.nodes, shears, solids,
-                          walls, phases, rules, step, scratch)  # fmt: skip
+                          walls, phases, pair_rules, step, scratch)  # fmt: skip
         _stop_at_walls(block, tables.solid[b], nodes, moments.nodes, walls, phase_of, phases,
                        solids, scratch, step.dx)  # fmt: skip
         if stress is not None:
-            if rules is not None:
-                store_mixture_values(block, has_impulses, fields, work, pairs, step.dx)
-            if noted:
-                _store_velocity_change(block, fields)
-
-
-@device_function
-def _fields(rows, cell_mass, cells, grid, forces, offsets, stress):
-    """Return the nodal arrays that couplings need, as pointers; rows: NodeBlockPointers."""
-    return NodalFields(
-        rows.phase, cell_mass, cells, grid, forces, offsets,
-        flat_pointer(stress.flux), flat_pointer(stress.drift), flat_pointer(stress.change),
-    )  # fmt: skip
+            after_walls(stress.kind, block, has_impulses, fields, stress.scratch, step.dx)
 
 
 @device_function
@@ -170,7 +142,7 @@ def _stop_at_walls(block, solid, velocities, offsets, walls, phase, phases, soli
 
 
 @device_function
-def _may_touch(block, solid, phase, solids, rules, step):
+def _may_touch(block, solid, phase, solids, pair_rules, step):
     """Return whether contact acts between two phases of a block, or one and a rigid boundary.
 
     Args:
@@ -178,17 +150,17 @@ def _may_touch(block, solid, phase, solids, rules, step):
         solid: Row of the block in solids, or -1.
         phase: Phases of the node blocks.
         solids: Rigid boundaries.
-        rules: Interaction rules, or None.
+        pair_rules: Interaction of each pair of phases, or None.
         step: Constants of the step.
     """
     if not has_several_parties(block, solid, solids, step.dx):
         return False
-    if rules is None or solid >= 0 or block.at_wall:
+    if pair_rules is None or solid >= 0 or block.at_wall:
         return True
-    if rules is not None:
+    if pair_rules is not None:
         for a in range(block.n0, block.n1):
             for b in range(block.n0, a):
-                if rules.pair[phase[a], phase[b]] == CONTACT:
+                if pair_rules[phase[a], phase[b]] == CONTACT:
                     return True
     return False
 
@@ -205,72 +177,6 @@ def momentum_to_velocity(nb, nodes, push, tiny):
     """
     for c in range(256 * nb, 256 * (nb + 1), 16):
         store(nodes, c, velocity(load(nodes, c), push, broadcast(nodes, tiny)))
-
-
-@device_function
-def _store_velocity_change(block, fields):
-    """Store the change of velocity since `_store_velocity_before`."""
-    for c in range(256 * block.n0, 256 * block.n1, 16):
-        store(fields.change, c, load(fields.grid, c) - load(fields.change, c))
-
-
-@device_function
-def _store_velocity_before(block, fields, push):
-    """Store the velocities of a block before gravity's `push` and separate impulses.
-
-    Nodes without mass are at rest before and after.
-    """
-    for nb in range(block.n0, block.n1):
-        tiny = broadcast(fields.grid, NODE_MASS_FLOOR * fields.min_cell_mass[fields.phase[nb]])
-        for c in range(256 * nb, 256 * (nb + 1), 16):
-            row = load(fields.grid, c)
-            store(fields.change, c, select(fourth_of(row) > tiny, row - push, row))
-
-
-@device_function
-def _add_stress_impulse(block, fields):
-    """Add the separate stress impulses to the velocities of a block."""
-    for nb in range(block.n0, block.n1):
-        _add_impulse_of_node_block(nb, fields)
-
-
-@device_function
-def _add_impulse_of_node_block(nb, fields):
-    """Add the separate stress impulses to the velocities of one node block."""
-    tiny = broadcast(fields.grid, NODE_MASS_FLOOR * fields.min_cell_mass[fields.phase[nb]])
-    for c in range(256 * nb, 256 * (nb + 1), 16):
-        row = load(fields.grid, c)
-        m = fourth_of(row)
-        change = select(m > tiny, load(fields.forces, c) / m, 0.0)
-        store(fields.grid, c, with_fourth(row + change, row))
-
-
-@device_function
-def _add_stress_impulse_unshared(block, fields, rules):
-    """Add the separate stress impulses of all phases but fluids that share space.
-
-    The pressure of those fluids acts on other phases too (mixture_coupling.py). rules:
-    MixtureTables as
-    pointers.
-    """
-    for nb in range(block.n0, block.n1):
-        p = fields.phase[nb]
-        if rules.mixture_set[p] < 0 or rules.fluid[p] == 0:
-            _add_impulse_of_node_block(nb, fields)
-            for c in range(256 * nb, 256 * (nb + 1), 16):  # the impulse has acted
-                row = load(fields.forces, c)
-                store(fields.forces, c, with_fourth(0.0 * row, row))
-
-
-@device_function
-def _project_offsets(offsets, block, walls, phases, phase_of):
-    """Remove the component across walls from the offsets (256 node blocks,) of a block."""
-    for nb in range(block.n0, block.n1):
-        kinds = walls.kinds if phases.liquid[phase_of[nb]] else walls.kinds_for_solids
-        for node in strided_range(64):
-            i, j, k = block.low_x + node // 16, block.low_y + node // 4 % 4, block.low_z + node % 4
-            project_tangential(offsets, 256 * nb + 4 * node, i, j, k, walls.cells, kinds)
-    sync_threads()
 
 
 @device_function

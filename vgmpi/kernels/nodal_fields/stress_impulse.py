@@ -31,7 +31,8 @@ class Impulses(NamedTuple):
 def kind(plan, group) -> Impulses:
     """Return the contribution of a group's particles."""
     real = plan.real.type
-    counted, porosity = plan.rules is not None, group.channels.first("share")
+    counted = any(feature.counts_volumes for feature in plan.features)
+    porosity = group.channels.first("share")
     return Impulses(
         *(
             real(v)

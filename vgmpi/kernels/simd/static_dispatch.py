@@ -10,9 +10,18 @@ Kinds are NamedTuples. The implementation is selected when a kernel is compiled,
 not contain features that a scene does not need.
 """
 
+from typing import NamedTuple
+
 from numba import types
 
 from vgmpi.runtime.jit import inlined_overload
+
+
+class Both(NamedTuple):
+    """Kind of two kinds, the first before the second."""
+
+    first: tuple
+    second: tuple
 
 
 def static_dispatch(stub):

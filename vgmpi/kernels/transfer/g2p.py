@@ -62,9 +62,9 @@ from .auxiliary_gather import (
     gather_batch,
     load_patches,
     max_velocity,
-    mixture_wave_speed_squared,
     particle_velocity,
     velocity_gradient,
+    wave_speed_squared,
 )
 from .liquid_volume import reduce_spray_divergence
 
@@ -79,11 +79,6 @@ class GroupConstants(NamedTuple):
     """Constants of a group, in the working precision."""
 
     splines: float  # 1: strains by the gradients of the B-splines, 0: by moments
-    stiff: float  # [m2/s2] squared wave speed that sand in the same space adds
-    dense: float  # [-] density relative to the grains of that sand, at least 1
-    slips: float  # [-] factor on the squared wave speed of a fluid that slips through others
-    relax: float  # [1/s] relaxation rate of a fluid where space is overfilled
-    porosity: float  # channel of the fluid's volume fraction, or -1
     dx: float  # [m] cell size
     space: float  # filled fraction per fourth nodal number of a liquid that softens its spray, or 0
     completes: float  # 1: the masses of a liquid at the nodes of walls are completed
@@ -201,7 +196,7 @@ def _update_particles(
         state = advance(law, load_state_vector(law, f, p + STATE * cap, cap), L, dt)
         store_state_vector(f, p + STATE * cap, cap, state)
         J = volume_ratio(law, state)
-        wave2 = mixture_wave_speed_squared(auxiliary, f, p, cap, numbers, wave_speed2(law, state))
+        wave2 = wave_speed_squared(auxiliary, f, p, cap, wave_speed2(law, state))
         m0, m1, m2 = (dt / dx) * v0, (dt / dx) * v1, (dt / dx) * v2
         longest = max_ignore_nan(abs(m0), max_ignore_nan(abs(m1), abs(m2)))
         # a number that is not finite lies between no bounds

@@ -38,9 +38,9 @@ from .auxiliary_gather import (
     gather_batch,
     load_patches,
     max_velocity,
-    mixture_wave_speed_squared,
     particle_velocity,
     velocity_gradient,
+    wave_speed_squared,
 )
 
 CORRECTION_RATE = 5.0  # [1/s] relaxation rate of a fluid's volume to the space that it takes
@@ -134,9 +134,9 @@ def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
     )
 
 
-@mixture_wave_speed_squared.register(DensityCorrected)
-def _(kind, f, p, cap, numbers, wave2):
-    return mixture_wave_speed_squared(kind.inner, f, p, cap, numbers, wave2)
+@wave_speed_squared.register(DensityCorrected)
+def _(kind, f, p, cap, wave2):
+    return wave_speed_squared(kind.inner, f, p, cap, wave2)
 
 
 class CellDilatation(NamedTuple):
@@ -147,7 +147,7 @@ class CellDilatation(NamedTuple):
 
 for _dispatch in (
     load_patches, particle_velocity, max_velocity, advection_velocity, displacement,
-    mixture_wave_speed_squared,
+    wave_speed_squared,
 ):  # fmt: skip
     _dispatch.register(CellDilatation)(_dispatch.table[VelocityOnly])
 

@@ -17,7 +17,6 @@ particles with one base node is summed before it is added to the patch.
 from vgmpi.kernels.nodal_fields import (  # noqa: F401  (contributions)
     carried_values,
     momentum,
-    rest_volume,
     stress_impulse,
     surface_distance,
     velocity_gradient,

@@ -1,8 +1,11 @@
 """Transfer correction: motion that the transfers dissipated is returned to the particles.
 
 The motion passes through the grid in a step of zero duration; its loss is what each transfer of the
-last steps has taken.
+last steps has taken. A feature may take part in such a step by kinds of its own: it sets the fourth
+number of the nodes, and changes particles by what they gather of it (`CorrectionKinds`).
 """
+
+from typing import Any, NamedTuple
 
 from vgmpi.kernels.grid.divided_nodes import average_phases
 from vgmpi.kernels.grid.update import momentum_to_velocity
@@ -24,18 +27,92 @@ from vgmpi.kernels.particle_records import (
 from vgmpi.kernels.reaction_impulses import momentum_mirror_fraction
 from vgmpi.kernels.reproducible_sums import blocks_at, finalize_node_block, sums_at
 from vgmpi.kernels.simd.row_ops import tile
+from vgmpi.kernels.simd.static_dispatch import static_dispatch
 from vgmpi.kernels.simd.vector16 import load, pointer, store
 from vgmpi.kernels.stencil_sums import gather_affine, gather_gradient
 from vgmpi.kernels.wall_boundary import complete_wall_mass, fill_ghost_velocity
 from vgmpi.runtime.jit import borrowing_kernel, device_function, kernel
 
 from .g2p import unpack_gathered
-from .particle_shifting import relax_volume, shift_positions, store_excess, store_fullness
+
+
+class CorrectionKinds(NamedTuple):
+    """Kinds by which a feature takes part in a step of no time."""
+
+    nodes: Any  # kind of `set_fourth_number`
+    particles: Any  # kind of `store_excess`, `relax_state` and `move_particles`
+    groups: frozenset[int]  # groups whose particles it changes
+
+    def kind_of(self, group: int) -> Any:
+        """Return the kind for the particles of a group, or None."""
+        return self.particles if group in self.groups else None
+
+
+@static_dispatch
+def set_fourth_number(kind, b, tables, nodes, numbers, phases, dx):
+    """Set the fourth number of the nodes of a block, in place of the mass.
+
+    Args:
+        kind: Kind of the feature.
+        b: The block.
+        tables: Node blocks of the rank.
+        nodes: Velocity and mass of the nodes, flat (in/out).
+        numbers: Nodal field of steps of no time, flat; `nodes` without one.
+        phases: Constants of the phases.
+        dx: Cell size [m].
+    """
+
+
+@static_dispatch
+def store_excess(kind, patch, excess, box):
+    """Store what moves particles in another patch; return whether there is any.
+
+    Args:
+        kind: Kind of the feature.
+        patch: Patch of the nodes.
+        excess: Patch (out), by whose fourth number particles move.
+        box: Node range of the segment.
+    """
+
+
+@static_dispatch
+def excess_of(kind, number):
+    """Return what `store_excess` stores for the fourth number of a node."""
+
+
+@static_dispatch
+def relax_state(kind, f, p, cap, records, offset):
+    """Change the channels of 16 particles.
+
+    Args:
+        kind: Kind of the feature.
+        f: Particle channels, flat (in/out).
+        p: Index of the first particle.
+        cap: Stride of channels.
+        records: Gathered records of the nodes.
+        offset: Offset of the first record.
+    """
+
+
+@static_dispatch
+def move_particles(kind, f, xi, p, cap, records, offset, limit):
+    """Move 16 particles.
+
+    Args:
+        kind: Kind of the feature.
+        f: Particle channels; they supply the precision.
+        xi: Fixed-point positions, flat (in/out).
+        p: Index of the first particle.
+        cap: Stride of channels.
+        records: Records with the excess as fourth number, and its gradient as slopes.
+        offset: Offset of the first record.
+        limit: Range of positions inside the domain, shape (3, 2) [cells from the block center].
+    """
 
 
 @borrowing_kernel
 def momentum_to_velocity_only(
-    blocks, tables, momentum, as_one, phases, fill, volumes, volume_field, step, report
+    blocks, tables, momentum, as_one, phases, kind, extra, extra_field, step, report
 ):  # fmt: skip
     """Compute the velocities [m/s] at the nodes of some blocks, from momentum alone.
 
@@ -46,9 +123,9 @@ def momentum_to_velocity_only(
         momentum: Momentum sums (in/out).
         as_one: (phases,) phases of one number share one velocity; -1: each has its own.
         phases, step: See kernels/kernel_arguments.py.
-        fill: What fills the nodes' cells, NodeFill, or None if no particles are shifted.
-        volumes: Sums of rest volumes (in/out), or None where masses tell how full a cell is.
-        volume_field: Number of that field in the report.
+        kind: Kind of a feature that takes part (`set_fourth_number`), or None.
+        extra: Sums of its field (in/out), or None if it has none.
+        extra_field: Number of that field in the report.
         report: Accumulator overflows (in/out), see kernels/reproducible_sums.py.
     """
     rows, moved = blocks_at(tables), sums_at(momentum)
@@ -68,22 +145,18 @@ def momentum_to_velocity_only(
             elif not is_done:
                 mean_over_set(nb, n1, group, phase_of, as_one, nodes)
         average_phases(phases, n0, n1, tables.solid[b], phase_of, nodes, step.dx)
-        rest_volumes = nodes
-        if volumes is not None:
-            rest_volumes = sums_at(volumes).nodes
+        numbers = nodes
+        if extra is not None:
+            numbers = sums_at(extra).nodes
             for nb in range(n0, n1):
-                finalize_node_block(nb, rows, sums_at(volumes), report, volume_field)
-        if fill is not None:
-            store_fullness(
-                n0, n1, phase_of, nodes, rest_volumes, fill, tables.coordinates[b],
-                tables.solid[b], phases,
-                step.dx,
-            )  # fmt: skip
+                finalize_node_block(nb, rows, sums_at(extra), report, extra_field)
+        if kind is not None:
+            set_fourth_number(kind, b, tables, nodes, numbers, phases, step.dx)
 
 
 @kernel
 def apply_transfer_correction(
-    rows, times, segments, particles, velocity, scratch, dx, shift, ghosts
+    rows, times, segments, particles, velocity, scratch, dx, kind, ghosts
 ):  # fmt: skip
     """Add to each particle `times` the loss of its velocity and gradient in a transfer.
 
@@ -95,7 +168,7 @@ def apply_transfer_correction(
         velocity: Grid velocities, shape (node blocks, 256) [m/s].
         scratch: Scratch of the calling thread.
         dx: Cell size [m].
-        shift: Constants of a shift, particle_shifting.ShiftConstants, or None.
+        kind: Kind of a feature that changes these particles, see `CorrectionKinds`, or None.
         ghosts: Ghost-node bookkeeping for reaction forces, or None.
     """
     cap = particles.f.shape[1]
@@ -114,10 +187,10 @@ def apply_transfer_correction(
         node_range_with_walls(count[s], start[s], cap, xi, f, mirror[s], box)
         load_patch(patch, velocity, table[s], box)
         fill_ghost_velocity(patch, mirror[s], ghosts, mirror_fraction, s)
-        if shift is not None:
+        if kind is not None:
             complete_wall_mass(patch, mirror[s])
             excess = patch_of(scratch.real, 0)
-            is_crowded = store_excess(patch, excess, box)
+            moves = store_excess(kind, patch, excess, box)
         for first in range(0, count[s], BATCH):
             n = min(BATCH, count[s] - first)
             offset = start[s] + first
@@ -126,14 +199,14 @@ def apply_transfer_correction(
             zero_padding(n, records)
             for m in range(0, n, 16):
                 correct_vector(f, offset + m, cap, times, records, 16 * m, dx)
-            if shift is not None:
+            if kind is not None:
                 for m in range(0, n, 16):
-                    relax_volume(f, offset + m, cap, records, 16 * m, shift)
-                if is_crowded:
+                    relax_state(kind, f, offset + m, cap, records, 16 * m)
+                if moves:
                     gather_gradient(n, records, weights, base, excess)
                     zero_padding(n, records)
                     for m in range(0, n, 16):
-                        shift_positions(f, xi, offset + m, cap, records, 16 * m, limit[s], shift)
+                        move_particles(kind, f, xi, offset + m, cap, records, 16 * m, limit[s])
 
 
 @device_function

@@ -3,8 +3,6 @@
 from dataclasses import astuple
 from typing import NamedTuple
 
-from vgmpi.materials.couplings.interaction import CONTACT, DRAG, MIXING
-from vgmpi.planning.correction_intervals import shift_cost
 from vgmpi.planning.plan import Plan
 from vgmpi.planning.region_groups import group_counts
 from vgmpi.planning.step_costs import COSTS, STAGES, ProximityCost, StageCost, StepCosts
@@ -54,7 +52,8 @@ def group_features(
     if group.carrier:
         time = pace.fluid * group.cost * costs.law
         return [Feature("carried by what holds it", time, sum(fields.values()))]
-    own = {name: fields.pop(name, 0) for name in ("share", "F", "surface", "color")}
+    extra = [name for feature in plan.features for name in feature.particle_channels]
+    own = {name: fields.pop(name, 0) for name in ("share", "F", "surface", *extra)}
     law_time = pace.law(scene.material[group.material]) * costs.law
     law_name = f"law {scene.material[group.material].kind}"
     result = [Feature(law_name, law_time, sum(fields.values()))]
@@ -63,21 +62,14 @@ def group_features(
     transfer = f"{scene.accuracy.transfer} transfer"
     if plan.correction_interval:
         result.append(Feature(transfer, pace.fluid / plan.correction_interval * costs.correction))
-    if plan.flip is not None:
-        result.append(Feature(transfer, pace.fluid * costs.flip))
-    if group.shifts:
-        by_volume = plan.phases[group.phase].fills_by_volume
-        cost = shift_cost(plan.correction_interval > 0, plan.shift_interval, by_volume, costs)
-        result.append(Feature("particle shifting", pace.fluid * cost))
     if group.cell_dilatation:
         result.append(Feature("dilatation by cells", pace.fluid * costs.cell_dilatation))
-    own_costs = ((feature.title, feature.particle_cost(group)) for feature in plan.features)
-    result += [Feature(title, pace.fluid * cost) for title, cost in own_costs if cost is not None]
+    for feature in plan.features:
+        if (cost := feature.particle_cost(group, costs)) is not None:
+            size = sum(own[name] for name in feature.particle_channels)
+            result.append(Feature(feature.title, pace.fluid * cost, size))
     if group.space:
         result.append(Feature("density correction", pace.fluid * costs.density_correction))
-    if group.coefficients:
-        time = pace.fluid * group.coefficients * costs.color
-        result.append(Feature("colors that travel", time, own["color"]))
     result += _meetings(plan, g, pace.fluid, own, costs)
     result += _colliders(scene, plan, g, pace.fluid, costs)
     return result + _blocks(plan, g, pace.fluid, costs)
@@ -91,10 +83,12 @@ def _meetings(
     met: dict[str, list[tuple[ProximityCost, str]]] = {}
     for q, phase in enumerate(plan.phases):
         if q != p:
-            name, how = _rule(plan, p, q, costs)
+            name, how = _interaction(plan, p, q, costs)
             met.setdefault(name, []).append((how, phase.name))
-    sizes = {"drag": own["share"], "contact": own["surface"]}
-    for name in ("mixing", "drag", "contact"):
+    channels = {k: v for feature in plan.features for k, v in feature.pair_channels.items()}
+    channels["contact"] = "surface"
+    sizes = {name: own.get(channel, 0) for name, channel in channels.items()}
+    for name in channels:
         share, cost = _proximity_cost(plan, g, met.get(name, []))
         if share or sizes.get(name):
             title = _with_percentage(name, share)
@@ -102,13 +96,11 @@ def _meetings(
     return result
 
 
-def _rule(plan: Plan, p: int, q: int, costs: StepCosts) -> tuple[str, ProximityCost]:
+def _interaction(plan: Plan, p: int, q: int, costs: StepCosts) -> tuple[str, ProximityCost]:
     """Return name and cost of the interaction of two phases."""
-    rule = CONTACT if plan.rules is None else plan.rules.pair[p, q]
-    if rule == MIXING:
-        return "mixing", costs.mixing
-    if rule == DRAG:
-        return "drag", costs.drag
+    for feature in plan.features:
+        if (cost := feature.pair_cost(p, q, costs)) is not None:
+            return cost
     surfaces = plan.phases[p].surface and plan.phases[q].surface
     return "contact", costs.surface_contact if surfaces else costs.contact
 

@@ -6,7 +6,6 @@ from importlib import resources
 from pathlib import Path
 
 from vgmpi.materials.couplings.interaction import CONTACT, RULES
-from vgmpi.planning.correction_intervals import shift_cost
 from vgmpi.planning.plan import Plan
 from vgmpi.planning.region_groups import group_counts
 from vgmpi.planning.step_costs import COSTS
@@ -67,7 +66,7 @@ def _couplings(plan: Plan) -> list[str]:
     for a in range(plan.phases_of_bodies):
         for b in range(a + 1, plan.phases_of_bodies):
             names = f"{plan.phases[a].name} - {plan.phases[b].name}"
-            rule = plan.rules.pair[a, b] if plan.rules else CONTACT
+            rule = CONTACT if plan.pair_rules is None else plan.pair_rules[a, b]
             how = f"friction {plan.friction[a][b]:g}" if rule == CONTACT else "they share space"
             lines.append(f"  {RULES[rule]:11s} {names}: {how}")
     return lines
@@ -120,13 +119,17 @@ def _restored(plan: Plan) -> list[str]:
 
 
 def _relative_cost_of_apic(plan: Plan) -> float:
-    """Return the cost of the same steps with APIC transfers: shifts of particles need some, too."""
-    shifting = sum(n for n, g in group_counts(plan) if plan.groups[g].shifts)
-    corrected, apic = 1.0 + COSTS.correction.total / plan.correction_interval, 1.0
-    if shifting:
-        share, interval = shifting / plan.particles, plan.shift_interval
-        corrected += share * shift_cost(True, interval, by_volume=False).total
-        apic += share * shift_cost(False, interval, by_volume=False).total
+    """Return the cost of the same steps with APIC transfers.
+
+    Features that take part in the steps of no time then need some of their own.
+    """
+    correction = COSTS.correction.total
+    corrected, apic = 1.0 + correction / plan.correction_interval, 1.0
+    for feature in plan.features:
+        for n, g in group_counts(plan) if feature.correction_interval else ():
+            if (cost := feature.particle_cost(plan.groups[g], COSTS)) is not None:
+                corrected += n / plan.particles * cost.total
+                apic += n / plan.particles * (cost.total + correction / feature.correction_interval)
     return apic / corrected
 
 

@@ -167,8 +167,7 @@ def frame_bytes(scene: Scene, plan: Plan) -> int:
     for name in scene.output.fields:
         if name != "F" or has_deformation:
             each += BYTES_OF_FIELD[name]
-    if plan.colors is not None:
-        each += 4 * 3 * int(plan.colors.coefficients.max())
+    each += sum(feature.frame_bytes for feature in plan.features)
     return each * plan.particles
 
 

@@ -33,8 +33,8 @@ class LiquidFill(NamedTuple):
 
 def liquid_phases(plan: Plan) -> list[int]:
     """Return the phases that hold liquids alone, and share space with no others."""
-    liquid = {g.phase for g in plan.groups if g.is_liquid and not g.shares}
-    return sorted(liquid - {g.phase for g in plan.groups if not g.is_liquid or g.shares})
+    liquid = {g.phase for g in plan.groups if g.is_liquid and not g.shares_space}
+    return sorted(liquid - {g.phase for g in plan.groups if not g.is_liquid or g.shares_space})
 
 
 def liquid_fill(simulation: Simulation) -> dict[int, LiquidFill]:

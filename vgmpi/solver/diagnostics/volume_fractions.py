@@ -11,8 +11,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from vgmpi.features.mixtures.kernels import MIN_POROSITY
+from vgmpi.features.mixtures.plan import MixturesPlan
+from vgmpi.features.mixtures.rules import InteractionRules
 from vgmpi.kernels.diagnostics import CELL_UNITS
-from vgmpi.kernels.grid.mixture_coupling import MIN_POROSITY
 from vgmpi.materials.material import law_function
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.solver.simulation import Simulation
@@ -28,8 +30,7 @@ def volume_fractions(simulation: Simulation) -> list[np.ndarray]:
     Args:
         simulation: The simulation, of a plan with rules of phases that share space.
     """
-    plan, rules = simulation.plan, simulation.plan.rules
-    assert rules is not None
+    plan, rules = simulation.plan, _rules_of(simulation)
     sums = np.zeros((len(simulation.exchange.tables.phase), 64), np.int64)
     for g, group in enumerate(simulation.groups):
         if rules.mixture_set[group.plan.phase] >= 0:
@@ -49,6 +50,13 @@ def volume_fractions(simulation: Simulation) -> list[np.ndarray]:
             value += np.where(inside, weight * fraction[place], 0.0)
         fractions.append(value)
     return fractions
+
+
+def _rules_of(simulation: Simulation) -> InteractionRules:
+    """Return the rules of the phases that share space."""
+    own = simulation.plan.feature(MixturesPlan)
+    assert own is not None
+    return own.rules
 
 
 def _current_volumes(group: ParticleGroup, is_fluid: bool) -> np.ndarray:
@@ -106,8 +114,7 @@ def _node_fractions(simulation: Simulation, sums: np.ndarray) -> np.ndarray:
         simulation: The simulation.
         sums: Volumes of all ranks in units of 1 / CELL_UNITS of a cell, shape (node blocks, 64).
     """
-    tables, rules = simulation.exchange.tables, simulation.plan.rules
-    assert rules is not None
+    tables, rules = simulation.exchange.tables, _rules_of(simulation)
     block = np.repeat(np.arange(len(tables.coordinates)), np.diff(tables.first))
     capacity = cell_capacity(simulation.plan, tables.coordinates)
     result = np.zeros(sums.shape)

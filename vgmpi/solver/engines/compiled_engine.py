@@ -5,14 +5,15 @@ from collections.abc import Mapping
 import numpy as np
 
 from vgmpi.features.active_feature import ActiveFeature, NodeState
+from vgmpi.kernels.grid.node_stages import SeparatedStress
 from vgmpi.kernels.kernel_arguments import NodeBlocks, Step, Sums
 from vgmpi.kernels.reaction_impulses import GhostNodes
 from vgmpi.kernels.rigid.prescribed_motion import PhaseMotions
 from vgmpi.kernels.step_records import AccumulatorOverflow
-from vgmpi.kernels.transfer.particle_shifting import NodeFill, ShiftConstants
+from vgmpi.kernels.transfer.transfer_correction import CorrectionKinds
 from vgmpi.kernels.wall_boundary import patch_codes
 from vgmpi.parallel.block_lattice import BlockLattice
-from vgmpi.parallel.exchange_topology import REST_VOLUME, ExchangeTopology
+from vgmpi.parallel.exchange_topology import ExchangeTopology
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.plan import Plan
 
@@ -23,7 +24,6 @@ from .kernel_caller import KernelCaller
 from .nodal_field_storage import NodalField, NodalFields
 from .plan_tables import open_wall, plan_tables, wall_kinds_of
 from .reaction_sums import ReactionAccumulators
-from .shift_tables import with_colliders
 from .thread_memory import ThreadMemory, ThreadPartition, accumulator_copies
 
 
@@ -40,7 +40,7 @@ class CompiledEngine(KernelCaller):
         memory: Scratch memory of the threads, and what they report.
         parts: Tables of the groups, as `tables`, `blocks`, `block_shares` and `merged_rows` of the
             nodes for the present topology.
-        dt: Length of the present step [s]; `step`, `shift` and `flags` are its constants.
+        dt: Length of the present step [s]; `step`, `correction` and `flags` are its constants.
     """
 
     GROUP, LAYER = ParticleGroup, NodalField  # array classes, replaced by other engines
@@ -57,7 +57,7 @@ class CompiledEngine(KernelCaller):
         self.plan_tables = plan_tables(plan, driven, solids)
         self.layers = NodalFields(plan, self.LAYER)
         self.words = self.layers.words
-        self.shift: ShiftConstants | None = None
+        self.correction: CorrectionKinds | None = None  # of a feature, in a step of no time
         self.memory = ThreadMemory(plan, threads, self.layers)
         self.reactions: ReactionAccumulators | None = None
         self.parts: list[GroupContext] = []
@@ -139,14 +139,15 @@ class CompiledEngine(KernelCaller):
     # ---- a step ----------------------------------------------------------------------------------
 
     def begin(
-        self, dt: float, gravity: np.ndarray, speed: float, shift: ShiftConstants | None = None
-    ) -> None:
+        self, dt: float, gravity: np.ndarray, speed: float,
+        correction: CorrectionKinds | None = None,
+    ) -> None:  # fmt: skip
         """Choose the quanta of the sums of a step.
 
         Args:
-            dt, gravity, speed, shift: See `Engine.begin`.
+            dt, gravity, speed, correction: See `Engine.begin`.
         """
-        self.dt, self.shift = dt, shift
+        self.dt, self.correction = dt, correction
         for scratch in self.memory.scratch:
             scratch.peak[:] = 0.0
         velocity_step = np.zeros(4, self.plan.real)
@@ -160,7 +161,7 @@ class CompiledEngine(KernelCaller):
         if name == "momentum":
             return True
         if name in self.layers.requests.timeless:
-            return self.shift is not None
+            return self.correction is not None
         return bool(self.dt)
 
     def begin_coupling(self) -> NodeState:
@@ -176,18 +177,27 @@ class CompiledEngine(KernelCaller):
     def end_coupling(self) -> None:
         """Do nothing: the nodes have their velocities."""
 
-    def node_fill_now(self) -> NodeFill | None:
-        """Return what fills the nodes' cells if the step of no time shifts particles."""
-        return (
-            None if self.shift is None else with_colliders(self.plan_tables.node_fill, self.solids)
-        )
+    def separated_stress(
+        self, shared: np.ndarray, stage: tuple, scratch: tuple
+    ) -> SeparatedStress | None:
+        """Return separate stress impulses, None if momentum has all.
+
+        Args:
+            shared: Phases whose impulses a feature distributes, of the plan's tables.
+            stage: Kind of the stages of features.
+            scratch: Scratch of a thread for them.
+        """
+        if not self.layers.separates_stress:
+            return None
+        impulses, adds_own = self.layers["impulses"].tables, self.plan_tables.adds_own_stress
+        return SeparatedStress(impulses, shared, adds_own, stage, scratch)
 
     @property
-    def rest_volumes(self) -> tuple[Sums | None, int]:
-        """Sums of rest volumes, if liquids of one phase differ in density, and their number."""
-        if REST_VOLUME not in self.layers:
-            return None, 0
-        return self.layers[REST_VOLUME].tables, self.layers.numbers[REST_VOLUME]
+    def timeless_field(self) -> tuple[Sums | None, int]:
+        """Sums of the field that steps of no time have besides momentum, if any, and its number."""
+        for name in self.layers.requests.timeless:
+            return self.layers[name].tables, self.layers.numbers[name]
+        return None, 0
 
     def _ghosts(
         self, part: GroupContext, thread: int, layer: str = "momentum"

@@ -21,6 +21,7 @@ from vgmpi.kernels.step_records import (
     STRAY,
     AccumulatorOverflow,
     StepReport,
+    dither_of_step,
 )
 from vgmpi.kernels.transfer import g2p, p2g, transfer_correction
 from vgmpi.parallel.block_lattice import BITS
@@ -28,7 +29,6 @@ from vgmpi.parallel.halo_exchange import FieldMessage
 
 from . import surface_fields
 from .compiled_engine import CompiledEngine
-from .engine_protocol import DITHER
 from .group_context import auxiliary_gather_kind, particles_of
 
 
@@ -94,23 +94,21 @@ class Cpu(CompiledEngine):
 
     def _update(self, thread: int, border: bool) -> None:
         blocks = self.block_shares.stage(border)[thread]
-        layers, separate = self.layers, None
+        layers = self.layers
         phases = self.plan_tables.phases
         for feature in self.features.values():
             phases = feature.divide_phases(phases)
         if not self.dt:
+            kind = None if self.correction is None else self.correction.nodes
             self.call_if_rows(
-                (self.shift is None,), transfer_correction.momentum_to_velocity_only, blocks,
+                (kind is None,), transfer_correction.momentum_to_velocity_only, blocks,
                 self.blocks, layers["momentum"].tables, self.plan_tables.phase_sets, phases,
-                self.node_fill_now(), *self.rest_volumes, self.step, self.memory.overflow[thread],
+                kind, *self.timeless_field, self.step, self.memory.overflow[thread],
             )  # fmt: skip
             return
-        if self.layers.separates_stress:
-            separate = update.SeparatedStress(
-                layers["impulses"].tables, **self.layers.gathered_nodes,
-                needs_change=int(self.layers.gathered["change"]),
-                workspace=self.memory.mixture_workspaces[thread], tables=self.plan_tables.mixtures,
-            )  # fmt: skip
+        separate = self.separated_stress(
+            self.plan_tables.shared_stress, layers.stage, self.memory.stage_scratch[thread]
+        )
         rigid, solids = self.plan_tables.boundaries, self.solids
         if solids is not None:
             rigid = rigid._replace(
@@ -121,7 +119,7 @@ class Cpu(CompiledEngine):
         shear = layers["shear"].tables if self.plan.has_surface_friction else None
         summed = update.CommonFields(layers["momentum"].tables, layers["offsets"].tables)
         self.call_if_rows(
-            (), update.update, blocks, self.blocks, summed, shear, separate, self.plan.rules,
+            (), update.update, blocks, self.blocks, summed, shear, separate, self.plan.pair_rules,
             self.plan_tables.walls, phases, rigid, self.memory.workspaces[thread], self.step,
             self.memory.overflow[thread],
         )  # fmt: skip
@@ -136,7 +134,7 @@ class Cpu(CompiledEngine):
         real = self.plan.real.type
         motion = g2p.StepConstants(
             real(self.dt), real(self.plan.cfl), 2.0 ** BITS[self.plan.real],
-            *(d * step % 1.0 for d in DITHER),
+            *dither_of_step(step),
         )  # fmt: skip
         self.memory.reports[:] = 0
         self.each(self._gather, motion)
@@ -196,13 +194,13 @@ class Cpu(CompiledEngine):
 
     def _correct_transfers(self, thread: int, times: float) -> None:
         dx = self.plan.real.type(self.plan.dx)
-        for part in self.parts:
+        for g, part in enumerate(self.parts):
             if part.group.plan.is_carried:
                 continue
-            shift = self.shift if part.group.plan.shifts else None
+            kind = None if self.correction is None else self.correction.kind_of(g)
             self.call_if_rows(
-                (shift is None,), transfer_correction.apply_transfer_correction,
+                (kind is None,), transfer_correction.apply_transfer_correction,
                 part.partition.all[thread], times, part.segments, particles_of(part.group),
-                self.layers["momentum"].nodes, self.memory.scratch[thread], dx, shift,
+                self.layers["momentum"].nodes, self.memory.scratch[thread], dx, kind,
                 self._ghosts(part, thread),
             )  # fmt: skip

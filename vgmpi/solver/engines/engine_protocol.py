@@ -25,17 +25,12 @@ from vgmpi.kernels.colliders.moving_colliders import MovingColliders
 from vgmpi.kernels.colliders.static_colliders import StaticColliders
 from vgmpi.kernels.rigid.prescribed_motion import PhaseMotions
 from vgmpi.kernels.step_records import AccumulatorOverflow, StepReport
-from vgmpi.kernels.transfer.particle_shifting import ShiftConstants
+from vgmpi.kernels.transfer.transfer_correction import CorrectionKinds
 from vgmpi.parallel.block_lattice import BlockLattice
 from vgmpi.parallel.exchange_topology import ExchangeTopology
 from vgmpi.parallel.halo_exchange import FieldMessage
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.plan import Plan
-
-# Generators of a low-discrepancy sequence in the unit cube (Roberts 2018). It is the dither of a
-# step and is equal on all ranks.
-DITHER = (0.8191725133961645, 0.6710436067037893, 0.5497004779019703)
-
 
 CollidersAtNodes = StaticColliders | MovingColliders
 
@@ -62,15 +57,16 @@ class Engine(EngineServices, Protocol):
         """
 
     def begin(
-        self, dt: float, gravity: np.ndarray, speed: float, shift: ShiftConstants | None = None
-    ) -> None:
+        self, dt: float, gravity: np.ndarray, speed: float,
+        correction: CorrectionKinds | None = None,
+    ) -> None:  # fmt: skip
         """Begin a step.
 
         Args:
             dt: Length of the step [s], 0 for a step of no time.
             gravity: Acceleration, shape (3,) [m/s^2].
             speed: Bound of `ParticleMaxima.fastest` [m/s].
-            shift: Constants of the shift of liquids that a step of no time makes, or None.
+            correction: What a feature does in a step of no time, or None.
         """
 
     def fill(self, border: bool) -> None:

@@ -1,14 +1,16 @@
 """Kernel arguments of the transfers of one particle group."""
 
+from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
 
 from vgmpi.kernels.kernel_arguments import Particles, Segments
 from vgmpi.kernels.reaction_impulses import GhostNodes
+from vgmpi.kernels.simd.static_dispatch import Both
 from vgmpi.kernels.step_records import AccumulatorOverflow
-from vgmpi.kernels.transfer import auxiliary_gather, g2p
-from vgmpi.kernels.transfer.auxiliary_gather import MixtureFlipGather
+from vgmpi.kernels.transfer import g2p
+from vgmpi.kernels.transfer.auxiliary_gather import VelocityOnly
 from vgmpi.kernels.transfer.liquid_volume import CellDilatation, DensityCorrected
 from vgmpi.parallel.block_lattice import position_limits
 from vgmpi.parallel.exchange_topology import ExchangeTopology
@@ -63,7 +65,8 @@ def group_context(
     is_apart = any(other.separates_stress for other in plan.groups)
     split = contributes["impulses"] if is_apart else np.zeros(len(rows), bool)
     gathers_more = split | group.plan.cell_dilatation
-    gathers_more |= any(feature.gathers(group.plan) for feature in plan.features)
+    for feature in plan.features:
+        gathers_more |= bool(feature.gathers(group.plan)) and not feature.gathers_with_stress
     segments = Segments(
         group.start, group.count, tables.table[rows], target, gathers_more,
         position_limits(group.block, plan.cells), mirror,
@@ -83,11 +86,8 @@ def group_context(
 def numbers_of(plan: Plan, group: GroupPlan) -> g2p.GroupConstants:
     """Return the constants of a group in the precision of the run."""
     values = (
-        plan.splines, group.stiff, group.dense, group.slips,
-        auxiliary_gather.OVERFILL_RELAXATION_RATE,
-        group.channels.first("share"), plan.dx,
-        _fill_per_number(plan, group) if group.softens_spray else 0.0,
-        float(group.is_liquid and not group.shares),
+        plan.splines, plan.dx, _fill_per_number(plan, group) if group.softens_spray else 0.0,
+        float(group.is_liquid and not group.shares_space),
     )  # fmt: skip
     return g2p.GroupConstants(*map(plan.real.type, values))
 
@@ -97,7 +97,7 @@ def _fill_per_number(plan: Plan, group: GroupPlan) -> float:
 
     The number is the fraction itself for phases that share space, else the mass [kg].
     """
-    return 1.0 if group.shares else 1.0 / (group.density * plan.dx**3)
+    return 1.0 if group.shares_space else 1.0 / (group.density * plan.dx**3)
 
 
 def particles_of(group: ParticleGroup) -> Particles:
@@ -126,22 +126,13 @@ def _kind_without_correction(plan: Plan, group: GroupPlan, auxiliary: dict, dt: 
     """Return the kind of gather without the density correction."""
     if group.cell_dilatation:
         return CellDilatation(0.0)
+    kinds: list[tuple] = []
+    patch_count = 0
     for feature in plan.features:
-        if feature.gathers(group):
-            kind: tuple = feature.gather_kind(group, auxiliary)
-            return kind
-    if not group.separates_stress:
-        return auxiliary_gather.VelocityOnly(0.0)
-    sharing = auxiliary_gather.MixtureGather(
-        auxiliary["flux"], auxiliary["drift"], int(plan.drifts)
-    )
-    if plan.flip is None:
-        return sharing
-    patch = 1 + sharing.drifts if group.shares else 0
-    blend = auxiliary_gather.FlipGather(
-        auxiliary["change"], plan.real.type(plan.flip.over(dt)), patch
-    )
-    return MixtureFlipGather(sharing, blend) if group.shares else blend
+        if names := feature.gathers(group):
+            kinds.append(feature.gather_kind(group, auxiliary, dt, patch_count))
+            patch_count += len(names)
+    return reduce(Both, kinds) if kinds else VelocityOnly(0.0)
 
 
 def lowest_overflow(

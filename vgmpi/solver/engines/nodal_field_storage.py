@@ -1,30 +1,28 @@
 """Nodal fields of a scene: sums and values on this rank, and contributions of particles."""
 
 from collections.abc import Callable, Iterator, Mapping
-from functools import partial
+from functools import partial, reduce
 from typing import NamedTuple
 
 import numpy as np
 
-from vgmpi.features.field_request import CarriedValues, FieldRequest
+from vgmpi.features.field_request import FieldRequest
 from vgmpi.kernels import reproducible_sums
 from vgmpi.kernels.kernel_arguments import NodeBlocks, Sums
 from vgmpi.kernels.nodal_fields import (
     body_fields,
-    carried_values,
     momentum,
-    rest_volume,
     stress_impulse,
     surface_distance,
     velocity_gradient,
 )
+from vgmpi.kernels.simd.static_dispatch import Both
 from vgmpi.kernels.transfer import liquid_volume
 from vgmpi.parallel.exchange_topology import (
     GRADIENTS,
     NEAR_BODIES,
     NEAR_CONTACT,
     NEAR_SURFACES,
-    REST_VOLUME,
     ExchangeTopology,
 )
 from vgmpi.planning.phases_and_groups import GroupPlan
@@ -119,19 +117,6 @@ def field_requests(plan: Plan) -> list[FieldRequest]:
     requests += [_field_near_surfaces(plan, name) for name in fields_near_colliders(plan)]
     for feature in plan.features:
         requests += feature.field_requests(plan)
-    if any(phase.fills_by_volume for phase in plan.phases):
-        requests.append(
-            FieldRequest(
-                REST_VOLUME,
-                lambda _: rest_volume.accumulator_range(plan),
-                lambda group: (
-                    rest_volume.kind(plan) if plan.phases[group.phase].fills_by_volume else None
-                ),
-                is_timeless=True,
-            )
-        )
-    count = max((group.coefficients for group in plan.groups), default=0)
-    requests += [_color_field(plan, k) for k in range(count)]
     return requests
 
 
@@ -149,26 +134,6 @@ def _field_near_surfaces(plan: Plan, name: str) -> FieldRequest:
 
     ranges = partial(module.accumulator_range, plan)
     return FieldRequest(name, ranges, kind, NEAR_SURFACES, is_for_couplings=True)
-
-
-def _color_field(plan: Plan, coefficient: int) -> FieldRequest:
-    """Return the request for a color coefficient that travels with the steps."""
-    assert plan.colors is not None
-    span = plan.colors.span[:, coefficient]
-
-    def channel(group: GroupPlan) -> int:
-        """Return the first channel of the values of a group."""
-        return group.channels.first("color") + 3 * coefficient
-
-    def kind(group: GroupPlan) -> tuple | None:
-        """Return the contribution of a group, if any."""
-        has_value = coefficient < group.coefficients and not group.carrier
-        return carried_values.kind(plan, channel(group)) if has_value else None
-
-    return FieldRequest(
-        f"color {coefficient}", lambda _: carried_values.accumulator_range(plan, span), kind,
-        carried=CarriedValues(plan.colors.set_of, channel),
-    )  # fmt: skip
 
 
 class FieldRequests:
@@ -217,8 +182,8 @@ class NodalFields(Mapping[str, NodalField]):
         separates_stress: Whether stress impulses are summed separately.
         by_name: The fields.
         numbers: Number of each field.
-        gathered: Whether particles gather auxiliary nodal values, by name.
-        gathered_nodes: These values, shape (node blocks, 256).
+        gathered_nodes: Auxiliary nodal values that particles gather, shape (node blocks, 256).
+        stage: Kind of the stages of features, see `stage_at`.
     """
 
     def __init__(self, plan: Plan, field_class=NodalField):
@@ -241,12 +206,11 @@ class NodalFields(Mapping[str, NodalField]):
         self._grow_nodes = field_class.grow_nodes
         self.by_name = {name: field_class(name, bounds, plan) for name, bounds in ranges.items()}
         self.numbers = {name: k for k, name in enumerate(self.by_name)}
-        has_change = plan.flip is not None
-        self.gathered = {"flux": plan.rules is not None, "drift": plan.drifts, "change": has_change}
-        self.gathered |= {name: True for each in plan.features for name in each.gathered}
         self.gathered_nodes = {
-            name: aligned_zeros((0, reproducible_sums.BLOCK), plan.real) for name in self.gathered
-        }
+            name: aligned_zeros((0, reproducible_sums.BLOCK), plan.real)
+            for feature in plan.features for name in feature.gathered
+        }  # fmt: skip
+        self.stage: tuple = ()
 
     def __getitem__(self, name: str) -> NodalField:
         return self.by_name[name]
@@ -266,10 +230,19 @@ class NodalFields(Mapping[str, NodalField]):
         """
         for name, field in self.items():
             field.set_topology(tables.has_terms[name], phase_of_row)
-        for name, is_gathered in self.gathered.items():
-            if is_gathered:
-                nodes = self.gathered_nodes[name]
-                self.gathered_nodes[name] = self._grow_nodes(nodes, len(tables.phase))
+        for name, nodes in self.gathered_nodes.items():
+            self.gathered_nodes[name] = self._grow_nodes(nodes, len(tables.phase))
+        self.stage = self.stage_at(self.gathered_nodes)
+
+    def stage_at(self, nodes: dict) -> tuple:
+        """Return the kernels/grid/node_stages.py kind of all features, () without one.
+
+        Args:
+            nodes: Auxiliary nodal values by name.
+        """
+        stages = (feature.node_stage(nodes) for feature in self.requests.plan.features)
+        kinds = [kind for kind in stages if kind is not None]
+        return reduce(Both, kinds) if kinds else ()
 
     def begin(self, speed: float) -> None:
         """Choose the quanta of a step.

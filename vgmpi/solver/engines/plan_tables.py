@@ -5,14 +5,11 @@ from typing import NamedTuple
 import numpy as np
 
 from vgmpi.kernels.grid.divided_nodes import Phases
-from vgmpi.kernels.grid.mixture_workspace import mixture_tables
 from vgmpi.kernels.grid.update import RigidBoundaries
 from vgmpi.kernels.kernel_arguments import Walls
 from vgmpi.kernels.rigid.prescribed_motion import NO_PRESCRIBED_BODIES, PhaseMotions
-from vgmpi.kernels.transfer.particle_shifting import NodeFill
 from vgmpi.kernels.wall_boundary import KINDS, SEPARATE, YIELDING
-from vgmpi.materials.couplings.interaction import CONTACT, MIXING
-from vgmpi.parallel.exchange_topology import MixtureProximity, TopologyRequirements
+from vgmpi.parallel.exchange_topology import StressProximity, TopologyRequirements
 from vgmpi.planning.phases_and_groups import PhasePlan
 from vgmpi.planning.plan import Plan
 
@@ -27,9 +24,9 @@ class PlanTables(NamedTuple):
     walls: Walls
     phases: Phases
     phase_sets: np.ndarray  # set with one velocity that each phase is in, -1 for none
-    mixtures: tuple  # tables of the mixtures, empty without rules
+    shared_stress: np.ndarray  # (phases,) 1: a feature distributes their impulses; (0,) for none
+    adds_own_stress: int  # 1 if stress impulses are separate that act on their phase alone
     boundaries: RigidBoundaries  # prescribed bodies, without colliders
-    node_fill: NodeFill | None  # what fills the nodes' cells, without colliders
 
 
 def plan_tables(
@@ -47,9 +44,11 @@ def plan_tables(
         NO_PRESCRIBED_BODIES if prescribed is None else prescribed.motions,
         getattr(colliders, "is_free", np.zeros(0, bool)),
     )  # fmt: skip
+    groups = plan.groups
+    adds_own_stress = any(each.separates_stress and not each.shares_space for each in groups)
     return PlanTables(
-        wall_table(plan), phase_table(plan), phase_sets(plan),
-        mixture_tables(plan.rules) if plan.rules is not None else (), boundaries, node_fill(plan),
+        wall_table(plan), phase_table(plan), phase_sets(plan), shared_stress(plan),
+        int(adds_own_stress), boundaries,
     )  # fmt: skip
 
 
@@ -60,7 +59,7 @@ def wall_table(plan: Plan) -> Walls:
         for walls in (plan.walls, plan.walls_of_solids)
     )
     friction = np.array([mu for _, mu in plan.walls]).reshape(3, 2)
-    if plan.flip is None:
+    if not plan.separates_stress:
         for_solids[for_solids == SEPARATE] = YIELDING
     for_surfaces = for_solids.copy()
     for plane in plan.planes:
@@ -99,36 +98,17 @@ def phase_table(plan: Plan) -> Phases:
     )
 
 
-def node_fill(plan: Plan) -> NodeFill | None:
-    """Return what fills the nodes' cells, without colliders; None if no particles are shifted.
-
-    Prescribed bodies have no mass on the grid. Where liquids of one phase differ in density, their
-    volumes count, elsewhere masses do. Sand with a liquid in its pores counts by its grains.
-    """
-    if not plan.shift_interval:
-        return None
-    by_volume = np.array([phase.fills_by_volume for phase in plan.phases])
-    full = np.array(
-        [plan.dx**3 if by_volume[p] else phase.max_cell_mass for p, phase in enumerate(plan.phases)]
-    )  # [m3] or [kg] in a full cell
-    space = 1.0 / full
-    if plan.rules is not None:
-        porous = (plan.rules.mixture_set >= 0) & ~plan.rules.fluid
-        space = np.where(porous, plan.rules.volume / plan.dx**3, space)
-    space[[phase.driven for phase in plan.phases]] = 0.0
-    shifts = np.zeros(len(plan.phases), bool)
-    for group in plan.groups:
-        shifts[group.phase] |= group.shifts
-    walls = wall_table(plan)
-    return NodeFill(
-        space.astype(plan.real), by_volume, shifts,
-        np.zeros((0, 64, 4), plan.real), walls.cells, walls.kinds,
-    )  # fmt: skip
-
-
 def phase_sets(plan: Plan) -> np.ndarray:
     """Return the number of the set with one velocity that each phase is in, -1 for none."""
-    return np.full(len(plan.phases), -1) if plan.rules is None else plan.rules.phase_sets
+    sets = (feature.phase_sets for feature in plan.features)
+    return next((each for each in sets if each is not None), np.full(len(plan.phases), -1))
+
+
+def shared_stress(plan: Plan) -> np.ndarray:
+    """Return 1 for phases whose stress impulses a feature distributes, (phases,); (0,) for none."""
+    shared = (feature.shared_stress for feature in plan.features)
+    mask = next((each for each in shared if each is not None), np.zeros(0, bool))
+    return mask.astype(np.uint8)
 
 
 def topology_requirements(plan: Plan) -> TopologyRequirements:
@@ -155,15 +135,11 @@ def _phases_in_contact(plan: Plan) -> np.ndarray:
     return np.isin(np.arange(len(plan.phases)), rows) if rows else np.zeros(0, bool)
 
 
-def _separate_stress(plan: Plan) -> bool | MixtureProximity:
-    """Return where stress impulses are summed separately: with FLIP and in mixtures."""
-    rules = plan.rules
-    if rules is None:
-        return plan.flip is not None
-    same_mixture = rules.mixture_set[:, None] == rules.mixture_set[None, :]
-    shares_space = (
-        same_mixture & (rules.mixture_set >= 0)[:, None] & ~np.eye(len(same_mixture), dtype=bool)
-    )
-    needs_contact = (rules.pair == CONTACT) & ~np.eye(len(same_mixture), dtype=bool)
-    needs_contact |= (rules.pair == MIXING) & rules.drifting[:, None]
-    return MixtureProximity(shares_space, needs_contact, rules.fluid, plan.flip is not None)
+def _separate_stress(plan: Plan) -> bool | StressProximity:
+    """Return where stress impulses are summed separately from momentum."""
+    places = (feature.stress_proximity() for feature in plan.features)
+    place = next((each for each in places if each is not None), None)
+    if place is None:
+        return plan.separates_stress
+    proximity: StressProximity = place._replace(every=plan.separates_stress)
+    return proximity

@@ -58,7 +58,7 @@ class ReactionAccumulators:
         Returns:
             Record for the thread, or None where the field has no reactions.
         """
-        flip, accumulator = self.plan.flip, self.by_thread[thread]
+        accumulator = self.by_thread[thread]
         if layer == "impulses":
             return ghosts._replace(reactions=accumulator, holds_mass=0)
         if layer != "momentum":
@@ -67,10 +67,8 @@ class ReactionAccumulators:
             return ghosts._replace(
                 reactions=accumulator, share=-float(self.plan.correction_interval)
             )
-        flip_ratio = 0.0 if flip is None else flip.over(dt)
-        return ghosts._replace(
-            reactions=accumulator, share=1.0 - flip_ratio, change_share=flip_ratio
-        )
+        retained = self.plan.retained_share(dt)
+        return ghosts._replace(reactions=accumulator, share=1.0 - retained, change_share=retained)
 
     def take(self) -> np.ndarray:
         """Return the sums of all threads, shape (rows, 7) int64, and reset them to zero."""

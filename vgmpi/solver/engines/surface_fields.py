@@ -110,7 +110,7 @@ def split_contributions(
     is_single = ~(np.diff(tables.first) > 1)[block].any(1) & ~mirror.any(axis=(1, 2))
     others, both = [], np.zeros(len(rows), bool)
     for contribution in contributions:
-        if contribution.layer == "offsets" and plan.rules is None and not plan.planes:
+        if contribution.layer == "offsets" and plan.pair_rules is None and not plan.planes:
             both = contribution.chosen & selected & is_single
             offsets, contribution = (
                 contribution,

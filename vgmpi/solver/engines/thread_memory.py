@@ -3,11 +3,10 @@
 import numpy as np
 
 from vgmpi.kernels import particle_records
-from vgmpi.kernels.grid import contact_impulses, mixture_workspace
+from vgmpi.kernels.grid import contact_impulses
 from vgmpi.kernels.step_records import MAXIMA
 from vgmpi.parallel.exchange_topology import ExchangeTopology
 from vgmpi.planning.plan import Plan
-from vgmpi.runtime.aligned_arrays import aligned_zeros
 
 from . import surface_fields
 from .nodal_field_storage import NodalFields
@@ -19,7 +18,7 @@ class ThreadMemory:
     Attributes:
         scratch: Patches and records of particles.
         workspaces: Workspaces of contact at a node.
-        mixture_workspaces: Workspaces of mixtures at a node, where stress is summed separately.
+        stage_scratch: Scratch of the stages of features, see `FeaturePlan.stage_scratch`.
         reports: Maxima of the particles, shape (groups, threads, MAXIMA).
         overflow: Node block, counted from 1, in which a sum left its range, by thread and field.
     """
@@ -33,18 +32,21 @@ class ThreadMemory:
             fields: Nodal fields.
         """
         patch_count = max(
-            sum(fields.gathered.values()), int(plan.shift_interval > 0),
+            len(fields.gathered_nodes), any(each.correction_interval for each in plan.features),
             surface_fields.patch_count(plan),
         )  # fmt: skip
         phases = len(plan.phases)
         self.scratch = [particle_records.scratch(plan.real, patch_count) for _ in range(threads)]
         self.workspaces = [contact_impulses.contact_workspace(phases) for _ in range(threads)]
-        self.mixture_workspaces = [
-            mixture_workspace.mixture_workspace(phases, plan.real, aligned_zeros)
-            for _ in range(threads if fields.separates_stress else 0)
-        ]
+        self.stage_scratch = [_stage_scratch(plan) for _ in range(threads)]
         self.reports = np.zeros((len(plan.groups), threads, MAXIMA))
         self.overflow = np.zeros((threads, len(fields)), np.int64)
+
+
+def _stage_scratch(plan: Plan) -> tuple:
+    """Return scratch of a thread for the stages of features, () if they need none."""
+    scratch = (feature.stage_scratch(len(plan.phases), plan.real) for feature in plan.features)
+    return next((each for each in scratch if each is not None), ())
 
 
 class ThreadPartition:

@@ -22,7 +22,7 @@ def frame_rows(simulation: Simulation, names: tuple[str, ...]) -> tuple[np.ndarr
         simulation: The simulation.
         names: Optional fields: velocity, J, F, stress, pressure, strain, volume_fraction. Fields x,
             object and phase are always included. F is left out unless a body of the scene carries
-            it; color is included if colors travel with the steps. Collective with volume_fraction.
+            it; features add fields of their own. Collective with volume_fraction.
     """
     ids, group_rows = [], []
     deforms = any(group.has_deformation for group in simulation.plan.groups)
@@ -49,8 +49,8 @@ def frame_rows(simulation: Simulation, names: tuple[str, ...]) -> tuple[np.ndarr
         row |= {name: rows.astype(np.float32) for name, rows in fields.items()}
         if "volume_fraction" in names:
             row["volume_fraction"] = fractions[g].astype(np.float32)
-        if simulation.plan.colors is not None:
-            row["color_sh"] = _color(group, indices, simulation.plan.colors)
+        for feature in simulation.features.values():
+            row |= feature.frame_rows(group, indices)
         ids.append(group.ids[indices])
         group_rows.append(row)
     return np.concatenate(ids), {
@@ -67,16 +67,6 @@ def _gradient(group, indices, J) -> np.ndarray:
         return np.cbrt(J)[:, None] * np.eye(3).ravel()
     carried = group.get("F" if group.plan.tracks_deformation else "H", indices)
     return carried + np.eye(3).ravel()
-
-
-def _color(group, indices, colors) -> np.ndarray:
-    """Return color coefficients (n, 3 K), K the largest count of any group; NaN without color."""
-    rows = np.full((len(indices), 3 * colors.coefficients.max()), np.nan, np.float32)
-    count = 3 * group.plan.coefficients
-    offset = colors.minimum[group.plan.phase].ravel()[:count]
-    if count:
-        rows[:, :count] = group.get("color", indices) + offset
-    return rows
 
 
 def by_id(simulation: Simulation, *names: str) -> list[np.ndarray]:

@@ -13,18 +13,18 @@ from vgmpi.kernels.kernel_arguments import (
     Step,
 )
 from vgmpi.kernels.rigid.prescribed_motion import ROTATED_CHANNELS
+from vgmpi.kernels.step_records import AccumulatorOverflow, StepReport, dither_of_step
 from vgmpi.kernels.transfer import g2p
-from vgmpi.kernels.transfer.particle_shifting import NodeFill, ShiftConstants
+from vgmpi.kernels.transfer.transfer_correction import CorrectionKinds
 from vgmpi.parallel.block_lattice import BITS
 from vgmpi.parallel.exchange_topology import ExchangeTopology
 from vgmpi.parallel.halo_exchange import FieldMessage
 from vgmpi.solver.engines.compiled_engine import CompiledEngine
-from vgmpi.solver.engines.engine_protocol import DITHER, AccumulatorOverflow, StepReport
 from vgmpi.solver.engines.group_context import GroupContext, auxiliary_gather_kind
 
 from . import gather_kernels, grid_kernels, scatter_kernels, thread_block, translation_types
 from .device_group import CardGroup
-from .device_memory import CardLayer, Copies, flattened, to_card, to_card_together
+from .device_memory import CardLayer, Copies, flattened, map_tuple, to_card, to_card_together
 from .graphics_card import with_device_context
 from .grid_kernels import NODES
 from .kernel_launch import Launcher
@@ -58,7 +58,7 @@ class Cuda(CompiledEngine):
         self.step_number = 0  # number of the step, for error messages
         self.work: list[Work] = []
         phases = len(plan.phases)
-        patches = 1 + sum(self.layers.gathered.values())
+        patches = 1 + len(self.layers.gathered_nodes)
         by_cells = any(group.cell_dilatation for group in plan.groups)
         sizes = {
             "WORDS": self.words, "PHASES": phases, "SPLINES": bool(plan.splines), "CELLS": by_cells,
@@ -122,6 +122,7 @@ class Cuda(CompiledEngine):
             name: flattened(self.copies.on_device(values))
             for name, values in self.layers.gathered_nodes.items()
         }
+        self.stage_on_card = self.copies.on_device(self.layers.stage_at(self.auxiliary))
         self.rigid = self._rigid()
         self.work = [self._laid_out(part) for part in self.parts]
 
@@ -167,14 +168,18 @@ class Cuda(CompiledEngine):
 
     @with_device_context
     def begin(
-        self, dt: float, gravity: np.ndarray, speed: float, shift: ShiftConstants | None = None
-    ) -> None:
+        self, dt: float, gravity: np.ndarray, speed: float,
+        correction: CorrectionKinds | None = None,
+    ) -> None:  # fmt: skip
         """Choose the quanta of the sums of a step.
 
         Args:
-            dt, gravity, speed, shift: See `Engine.begin`.
+            dt, gravity, speed, correction: See `Engine.begin`.
         """
-        super().begin(dt, gravity, speed, shift and ShiftConstants(*map(self.real, shift)))
+        if correction is not None:
+            particles = map_tuple(correction.particles, self.real)
+            correction = correction._replace(particles=particles)
+        super().begin(dt, gravity, speed, correction)
         self.buffer.begin(self.step.gravity_increment)
         self.step = Step(float(dt), float(self.plan.dx), self.record.gravity_increment)
 
@@ -239,23 +244,20 @@ class Cuda(CompiledEngine):
             self._half(
                 NODES, grid_kernels.settle, len(blocks), blocks, self.on_card, momentum,
                 copy(self.plan_tables.phase_sets), copy(self.plan_tables.phases),
-                self._fill_on_card(), *self.rest_volumes, self.step, self.record.overflow,
+                self._kind_at_nodes(), *self.timeless_field, self.step, self.record.overflow,
             )  # fmt: skip
             return
-        separate, kernel = None, grid_kernels.update
-        if self.layers.separates_stress:
-            kernel = grid_kernels.update_apart
-            separate = grid.SeparatedStress(
-                self.layers["impulses"].tables, **self.auxiliary,
-                needs_change=int(self.layers.gathered["change"]), workspace=(),
-                tables=copy(self.plan_tables.mixtures),
-            )  # fmt: skip
+        separate = self.separated_stress(
+            copy(self.plan_tables.shared_stress), self.stage_on_card, ()
+        )
+        kernel = grid_kernels.update if separate is None else grid_kernels.update_apart
         shear = self.layers["shear"].tables if self.plan.has_surface_friction else None
         summed = grid.CommonFields(momentum, self.layers["offsets"].tables)
-        rules = None if self.plan.rules is None else copy(self.plan.rules)
+        pairs = self.plan.pair_rules
+        pairs = None if pairs is None else self.copies.on_device(pairs)
         reactions = None if self.reactions is None else copy(self.reactions.by_thread[0])
         self._half(
-            NODES, kernel, len(blocks), blocks, self.on_card, summed, shear, separate, rules,
+            NODES, kernel, len(blocks), blocks, self.on_card, summed, shear, separate, pairs,
             copy(self.plan_tables.walls), copy(self.plan_tables.phases),
             self._rigid() if self._moves else self.rigid, reactions, self.step,
             self.record.overflow,
@@ -267,11 +269,11 @@ class Cuda(CompiledEngine):
                 self.layers.numbers[name],
             )  # fmt: skip
 
-    def _fill_on_card(self) -> NodeFill | None:
-        """Return what fills the nodes' cells in GPU memory, or None."""
-        fill = self.node_fill_now()
+    def _kind_at_nodes(self) -> Any:
+        """Return the kind by which a feature takes part in a step of no time, in GPU memory."""
+        kind = None if self.correction is None else self.correction.nodes
         moves = self.solids is not None and len(self.solids.moves) > 0
-        return self.copies.refreshed(fill) if moves else self.copies.on_device(fill)
+        return self.copies.refreshed(kind) if moves else self.copies.on_device(kind)
 
     def _rigid(self) -> grid.RigidBoundaries:
         """Return colliders and prescribed bodies in their current state."""
@@ -293,7 +295,7 @@ class Cuda(CompiledEngine):
         self.step_number = step + 1
         motion = g2p.StepConstants(
             self.real(self.dt), self.real(self.plan.cfl), 2.0 ** BITS[self.plan.real],
-            *(d * step % 1.0 for d in DITHER),
+            *dither_of_step(step),
         )  # fmt: skip
         for part, work in zip(self.parts, self.work, strict=True):
             self._gather_one(part, work, motion)
@@ -356,14 +358,14 @@ class Cuda(CompiledEngine):
     @with_device_context
     def correct_transfers(self, times: int) -> list[AccumulatorOverflow]:
         """Add `times` the motion that a step of no time has taken from the particles."""
-        for part, work in zip(self.parts, self.work, strict=True):
+        for g, (part, work) in enumerate(zip(self.parts, self.work, strict=True)):
             group: Any = part.group
             if not group.plan.driven:
                 self.wholes.launch(
                     len(work.all), PARTICLE, gather_kernels.give_back, work.all, self.real(times),
                     work.segments, group.on_card(MOVED),
                     self.layers["momentum"].tables.nodes, self.real(self.plan.dx),
-                    self.shift if group.plan.shifts else None,
+                    None if self.correction is None else self.correction.kind_of(g),
                     self.copies.on_device(self._ghosts(part, 0)),
                 )  # fmt: skip
         return self._overflows(self.buffer.read())

@@ -14,7 +14,7 @@ from vgmpi.kernels.stencil_sums import gather_affine, gather_gradient, gather_va
 from vgmpi.kernels.transfer import transfer_correction
 from vgmpi.kernels.transfer.auxiliary_gather import gather_batch, load_patches
 from vgmpi.kernels.transfer.g2p import ParticlePointers, _update_particles, update_deformation_lanes
-from vgmpi.kernels.transfer.particle_shifting import TOLERATED_FILL, relax_volume, shift_positions
+from vgmpi.kernels.transfer.transfer_correction import excess_of, move_particles, relax_state
 from vgmpi.kernels.wall_boundary import complete_wall_mass, fill_ghost_velocity
 
 from .grid_kernels import own_ghosts
@@ -107,20 +107,20 @@ def _unite(local_maxima, lowest, maxima, worst):
         cuda.atomic.min(worst, 0, lowest[0])
 
 
-def give_back(rows, times, segments, particles, velocity, dx, shift, ghosts):
+def give_back(rows, times, segments, particles, velocity, dx, kind, ghosts):
     """Compensate the motion lost in transfers: kernels/transfer/transfer_correction.py.
 
     Args:
         rows, times: Segments to process, and factor of the loss.
         segments, particles: Tables of the group; particles (in/out).
         velocity, dx: Nodal velocities of a step of no time, and cell size [m].
-        shift, ghosts: Constants of a shift, and ghost nodes for reactions; each may be None.
+        kind, ghosts: Kind of a feature, and ghost nodes for reactions; each may be None.
     """
     now, point = cuda.local.array(3, np.int64), cuda.local.array(6, np.float64)
     own = own_ghosts(ghosts, now, point)
     real, s = cuda.shared.array(BESIDE, REAL), rows[number()]
     _begin(real, s, segments, velocity, own)
-    if shift is not None:
+    if kind is not None:
         meet()
         complete_wall_mass(real, segments.mirror[s])
         meet()
@@ -134,18 +134,18 @@ def give_back(rows, times, segments, particles, velocity, dx, shift, ghosts):
         compute_weights(1, p, cap, xi, f, base, weights)
         gather_affine(1, record, weights, base, real)
         transfer_correction.correct_vector(f, p, cap, times, record, 0, dx)
-        if shift is not None:
-            relax_volume(f, p, cap, record, 0, shift)
-    if shift is not None:
+        if kind is not None:
+            relax_state(kind, f, p, cap, record, 0)
+    if kind is not None:
         meet()
         for k in each(PATCH // 4):
-            real[4 * k + 3] = max(real[4 * k + 3] - REAL(TOLERATED_FILL), REAL(0))
+            real[4 * k + 3] = excess_of(kind, real[4 * k + 3])
         meet()
         for n in each(segments.count[s]):
             p = segments.start[s] + n
             compute_weights(1, p, cap, xi, f, base, weights)
             gather_gradient(1, record, weights, base, real)
-            shift_positions(f, xi, p, cap, record, 0, segments.limit[s], shift)
+            move_particles(kind, f, xi, p, cap, record, 0, segments.limit[s])
 
 
 def take(rows, channel, segments, particles, nodes):

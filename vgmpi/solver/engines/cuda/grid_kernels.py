@@ -8,10 +8,10 @@ sixteenth node.
 import numpy as np
 from numba import cuda
 
+from vgmpi.features.mixtures.workspace import MixtureWorkspace
 from vgmpi.kernels.grid import update as grid
 from vgmpi.kernels.grid.contact_impulses import ContactWorkspace
-from vgmpi.kernels.grid.mixture_workspace import MixtureWorkspace as Members
-from vgmpi.kernels.grid.update import SeparatedStress
+from vgmpi.kernels.grid.node_stages import SeparatedStress
 from vgmpi.kernels.nodal_fields import carried_values
 from vgmpi.kernels.reaction_impulses import GhostNodes, ReactionSums
 from vgmpi.kernels.reproducible_sums import finalize_node_block
@@ -187,7 +187,18 @@ own_given.like = own_ghosts.like = 0  # type: ignore[attr-defined]
 
 
 def _block(
-    blocks, tables, summed, shear, separate, rules, walls, phases, solids, reactions, step, report
+    blocks,
+    tables,
+    summed,
+    shear,
+    separate,
+    pair_rules,
+    walls,
+    phases,
+    solids,
+    reactions,
+    step,
+    report,
 ):
     """Update the nodes of the team's block (contact, walls and others): kernels/grid/update.py."""
     v = cuda.local.array((PHASES + 2, 3), np.float64)
@@ -215,13 +226,24 @@ def _block(
         friction[1], of_pairs[0], of_pairs[1], present[1], plane, row, own_reactions,
     )  # fmt: skip
     grid.update(
-        blocks, tables, summed, shear, separate, rules, walls, phases, solids, workspace, step,
+        blocks, tables, summed, shear, separate, pair_rules, walls, phases, solids, workspace, step,
         report,
     )  # fmt: skip
 
 
 def update(
-    blocks, tables, summed, shear, separate, rules, walls, phases, solids, reactions, step, report
+    blocks,
+    tables,
+    summed,
+    shear,
+    separate,
+    pair_rules,
+    walls,
+    phases,
+    solids,
+    reactions,
+    step,
+    report,
 ):
     """Compute velocities at the nodes of blocks without separate stress impulses.
 
@@ -229,26 +251,37 @@ def update(
         blocks: Node blocks to process.
         tables: Table of node blocks.
         summed, shear, separate: Nodal fields (in/out).
-        rules, walls, phases, solids: Interaction rules, walls, phases and rigid bodies.
+        pair_rules, walls, phases, solids: Interaction pair_rules, walls, phases and rigid bodies.
         reactions: Reaction sums, or None.
         step, report: Constants of the step, and overflow report (in/out).
     """
     q = number()
     if q < len(blocks):
-        _block(blocks[q : q + 1], tables, summed, shear, None, rules, walls, phases, solids,
+        _block(blocks[q : q + 1], tables, summed, shear, None, pair_rules, walls, phases, solids,
                reactions, step, report)  # fmt: skip
 
 
 def update_apart(
-    blocks, tables, summed, shear, separate, rules, walls, phases, solids, reactions, step, report
-):  # fmt: skip
+    blocks,
+    tables,
+    summed,
+    shear,
+    separate,
+    pair_rules,
+    walls,
+    phases,
+    solids,
+    reactions,
+    step,
+    report,
+):
     """Compute velocities at the nodes of blocks with separate stress impulses.
 
     Args:
         blocks: Node blocks to process.
         tables: Table of node blocks.
         summed, shear, separate: Nodal fields (in/out).
-        rules, walls, phases, solids: Interaction rules, walls, phases and rigid bodies.
+        pair_rules, walls, phases, solids: Interaction pair_rules, walls, phases and rigid bodies.
         reactions: Reaction sums, or None.
         step, report: Constants of the step, and overflow report (in/out).
     """
@@ -261,23 +294,21 @@ def update_apart(
     K = cuda.local.array(16 * PHASES * PHASES, REAL)
     S = cuda.local.array(16 * PHASES, REAL)
     R = cuda.local.array(16 * PHASES, REAL)
-    workspace = Members(
+    workspace = MixtureWorkspace(
         members[0], members[1], members[2], numbers[0], numbers[1], of_two[0], of_two[1],
         M, V, U, K, S, R,
     )  # fmt: skip
     q = number()
     if q < len(blocks):
         own = SeparatedStress(
-            separate.impulses, separate.flux, separate.drift, separate.change,
-            separate.needs_change,
-            workspace, separate.tables,
+            separate.impulses, separate.shared, separate.adds_own, separate.kind, workspace
         )  # fmt: skip
-        _block(blocks[q : q + 1], tables, summed, shear, own, rules, walls, phases, solids,
+        _block(blocks[q : q + 1], tables, summed, shear, own, pair_rules, walls, phases, solids,
                reactions, step, report)  # fmt: skip
 
 
 def settle(
-    blocks, tables, momentum, as_one, phases, fill, volumes, volume_field, step, report
+    blocks, tables, momentum, as_one, phases, kind, extra, extra_field, step, report
 ):  # fmt: skip
     """Compute velocities in a step of no time: kernels/transfer/transfer_correction.py.
 
@@ -285,8 +316,8 @@ def settle(
         blocks, tables: Node blocks to process, and table of node blocks.
         momentum: Nodal field (in/out).
         as_one, phases: Phases that move with one velocity, and their tables.
-        fill: What fills the nodes' cells, or None.
-        volumes, volume_field: Sums of rest volumes (in/out) or None, and their entry of the report.
+        kind: Kind of a feature that takes part, or None.
+        extra, extra_field: Sums of its field (in/out) or None, and their entry of the report.
         step, report: Constants of the step, and overflow report (in/out).
     """
     q = number()
@@ -297,9 +328,9 @@ def settle(
             momentum,
             as_one,
             phases,
-            fill,
-            volumes,
-            volume_field,
+            kind,
+            extra,
+            extra_field,
             step,
             report,
         )

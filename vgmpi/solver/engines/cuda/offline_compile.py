@@ -13,7 +13,6 @@ from numba.cuda import dispatcher, types
 from numba.cuda.np import numpy_support
 
 from vgmpi.parallel.particle_group import ParticleGroup
-from vgmpi.solver.engines.shift_tables import shift_constants
 
 from . import device_memory
 from .cuda_engine import Cuda
@@ -203,10 +202,11 @@ def kernels_of(simulation) -> list[Compiled]:
         engine.update(border)
     engine.gather(0)
     plan = simulation.plan
-    if plan.correction_interval or plan.shift_interval:
-        shift = shift_constants(plan, 1e-5, 0) if plan.shift_interval else None
-        engine.begin(0.0, simulation.gravity, 1.0, shift)
-        if any(phase.fills_by_volume for phase in plan.phases):
+    own = [each.correction_kinds(1e-5, 0) for each in simulation.features.values()]
+    kinds = next((each for each in own if each is not None), None)
+    if plan.correction_interval or kinds is not None:
+        engine.begin(0.0, simulation.gravity, 1.0, kinds)
+        if engine.layers.requests.timeless:
             engine.fill(False)
         engine.update(False)
         engine.correct_transfers(1)

@@ -8,13 +8,12 @@ from vgmpi.kernels.kernel_arguments import (
     MAX_CELLS_PER_STEP,
     MAX_VOLUME_STRAIN_PER_STEP,
 )
-from vgmpi.kernels.step_records import StepReport
+from vgmpi.kernels.step_records import StepReport, dither_of_step
 from vgmpi.kernels.transfer import g2p
 from vgmpi.materials.material import law_function
 from vgmpi.parallel.block_lattice import BLOCK_EDGE
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.planning.plan import Plan
-from vgmpi.solver.engines.engine_protocol import DITHER
 
 from .group_channels import get_channel
 
@@ -37,15 +36,18 @@ def advect(
     dx, index = plan.dx, group.index()
     J = np.broadcast_to(law_function(law, "volume_ratio")(law, state), trace.shape)
     wave2 = np.broadcast_to(law_function(law, "wave_speed2")(law, state), trace.shape)
-    wave2 = wave2 * group.plan.slips
+    wave2 = wave2 * group.plan.wave.factor
     if group.plan.stores_porosity:
         porosity = get_channel(group, "share")[:, 0]
-        wave2 = wave2 * (1.0 + (1.0 / porosity - 1.0) * group.plan.dense) + group.plan.stiff
+        wave2 = (
+            wave2 * (1.0 + (1.0 / porosity - 1.0) * group.plan.wave.density_ratio)
+            + group.plan.wave.added
+        )
     shift = dt / dx * v
     intact, tame = (J > J_MIN) & (J < J_MAX), (wave2 > -1.0) & (wave2 < g2p.FASTEST_WAVE**2)
     slow = np.abs(shift).max(1) < 1.0
     good = intact & tame & slow
-    dither = np.array([d * step % 1.0 for d in DITHER])
+    dither = np.array(dither_of_step(step))
     units = np.floor(2.0**group.bits * np.where(good[:, None], shift, 0.0) + dither)
     group.xi[:, index] += units.T.astype(group.xi.dtype)
     x = np.ldexp(group.xi[:, index].T.astype(np.float64), -group.bits)

@@ -206,10 +206,10 @@ class Contact:
         friction, stiffness [Pa], and a rigid or prescribed body: its reaction row, velocity [m/s],
         normal and distance [m], and 1 where it is a or rigid, else -1.
         """
-        plan, rules = self.plan, self.plan.rules
+        plan, pair_rules = self.plan, self.plan.pair_rules
         for q, p in enumerate(phases):
             for p_other in phases[q + 1 :]:
-                if rules is not None and rules.pair[p, p_other] != CONTACT:
+                if pair_rules is not None and pair_rules[p, p_other] != CONTACT:
                     continue
                 if plan.phases[p].driven and plan.phases[p_other].driven:
                     continue

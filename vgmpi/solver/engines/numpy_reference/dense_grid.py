@@ -302,7 +302,7 @@ def _walls_of(plan: Plan, phase: PhasePlan) -> tuple[tuple[str, float], ...]:
     """Return the walls of a phase, without those that push its surfaces by contact."""
     if phase.is_liquid:
         return plan.walls
-    pushing = "yielding" if plan.flip is None else "separate"
+    pushing = "separate" if plan.separates_stress else "yielding"
     kind = "open" if phase.meets_walls_by_contact else pushing
     return tuple(
         (kind if wall == "separate" else wall, friction) for wall, friction in plan.walls_of_solids
@@ -354,3 +354,20 @@ class CarriedFields:
         for name, channel in self.requests.carried_by(group.plan):
             mean = self.dense.gather(self.sums[name][group.plan.phase], stencil)
             group.f[channel : channel + 3, group.index()] = mean[:, :3].T
+
+
+def mean_velocities(v: np.ndarray, mass: np.ndarray, groups: np.ndarray) -> np.ndarray:
+    """Return velocities averaged over phases that move with one velocity.
+
+    Args:
+        v (in/out): Velocities, shape (phases, ..., 3) [m/s].
+        mass: Nodal masses, shape (phases, ...) [kg].
+        groups: Phases of one number move as one; -1: each by itself, shape (phases,).
+    """
+    for group in np.unique(groups[groups >= 0]):
+        m = mass[groups == group][..., None]
+        some, total = m.sum(0) > 0, m.sum(0)
+        v[groups == group] = np.where(
+            some, (m * v[groups == group]).sum(0) / np.where(some, total, 1.0), 0.0
+        )
+    return v

@@ -6,11 +6,10 @@ from vgmpi.kernels.rigid.prescribed_motion import (
     EFFECTIVE_MASS_FACTOR,
     PrescribedSteps,
 )
-from vgmpi.kernels.step_records import StepReport
+from vgmpi.kernels.step_records import StepReport, dither_of_step
 from vgmpi.kernels.transfer.g2p import OUT_OF_DOMAIN
 from vgmpi.parallel.block_lattice import BLOCK_CENTER, BLOCK_EDGE
 from vgmpi.parallel.particle_group import ParticleGroup
-from vgmpi.solver.engines.engine_protocol import DITHER
 
 
 def prescribe(
@@ -50,7 +49,7 @@ def carry(
         return StepReport(0.0, 0.0, (0.0,) * 3, [], [])
     turn = motion.turn[row]
     v = (group.positions() - motion.about[row]) @ turn.T + motion.shift[row]
-    dither = np.array([d * step % 1.0 for d in DITHER])
+    dither = np.array(dither_of_step(step))
     units = np.floor(2.0**group.bits * (dt / dx) * v + dither)
     group.xi[:, index] += units.T.astype(group.xi.dtype)
     group.put("v", index, v)

@@ -25,9 +25,8 @@ class ReactionSums:
 
         dt: length of the step [s], 0 for a step of no time.
         """
-        flip = self.plan.flip
-        flip_ratio = 0.0 if flip is None or not dt else flip.over(dt)
-        return 1.0 - flip_ratio if dt else -float(self.plan.correction_interval), flip_ratio
+        retained = self.plan.retained_share(dt) if dt else 0.0
+        return 1.0 - retained if dt else -float(self.plan.correction_interval), retained
 
     def take(self) -> np.ndarray:
         """Return the sums in integer multiples of the quanta, and reset them."""

@@ -11,15 +11,19 @@ from typing import Any
 
 import numpy as np
 
-from vgmpi.features.active_feature import ActiveFeature, NodeState, carrier_of, reserved_nodes
+from vgmpi.features.active_feature import (
+    ActiveFeature,
+    DenseStage,
+    NodeState,
+    carrier_of,
+    reserved_nodes,
+)
 from vgmpi.kernels.colliders.moving_colliders import MovingColliders
 from vgmpi.kernels.colliders.static_colliders import StaticColliders
-from vgmpi.kernels.grid.mixture_coupling import MIN_POROSITY
 from vgmpi.kernels.kernel_arguments import NODE_MASS_FLOOR
 from vgmpi.kernels.rigid.prescribed_motion import PhaseMotions
 from vgmpi.kernels.step_records import AccumulatorOverflow, StepReport
-from vgmpi.kernels.transfer.auxiliary_gather import OVERFILL_RELAXATION_RATE
-from vgmpi.kernels.transfer.particle_shifting import ShiftConstants
+from vgmpi.kernels.transfer.transfer_correction import CorrectionKinds
 from vgmpi.materials.material import law_function
 from vgmpi.parallel.block_lattice import BlockLattice
 from vgmpi.parallel.exchange_topology import ExchangeTopology
@@ -34,11 +38,12 @@ from vgmpi.solver.engines.numpy_reference.liquid_volume import (
     with_divergence,
     without_spray_divergence,
 )
+from vgmpi.solver.engines.plan_tables import phase_sets
 
 from .advection import advect
 from .collider_hold import ColliderHold
 from .contact import Contact
-from .dense_grid import CarriedFields, Dense, Stencil, stencil_of
+from .dense_grid import CarriedFields, Dense, Stencil, mean_velocities, stencil_of
 from .group_channels import (
     get_channel,
     kirchhoff_stress,
@@ -47,9 +52,7 @@ from .group_channels import (
     put_channel,
     put_law_state,
 )
-from .mixture_coupling import MixtureCoupling, mean_velocities
-from .moving_colliders import nearest_collider
-from .particle_shifting import ParticleShifting
+from .moving_colliders import distance_from_colliders, nearest_collider
 from .prescribed_motion import carry, prescribe
 from .reaction_impulses import ReactionSums, WallRecorder
 from .resolved_surfaces import resolved_surface
@@ -77,14 +80,13 @@ class Numpy(SurfaceNodes):
         self.movers = solids if isinstance(solids, MovingColliders) else None
         if isinstance(solids, StaticColliders):
             self.contact.set_rigid(*solids.surface(self.dense.points()))
-        self.sharing = None
-        if plan.rules is not None:
-            densities = np.array([phase.min_cell_mass for phase in plan.phases]) / plan.dx**3
-            self.sharing = MixtureCoupling(plan.rules, densities, self.dense)
+        stages = (feature.dense_stage(plan, self.dense) for feature in plan.features)
+        self.stages: list[DenseStage] = [stage for stage in stages if stage is not None]
         self.sums: ReactionSums | None = None
         self.separates_stress = any(group.separates_stress for group in plan.groups)
         self.carried = CarriedFields(plan, self.dense)
-        self.shifting = ParticleShifting(plan, self.dense)
+        self.correction: CorrectionKinds | None = None  # of a feature, in a step of no time
+        self.dense_correction: Any = None
 
     def open(self, wall: int) -> None:
         """Remove a wall that has vanished."""
@@ -125,14 +127,15 @@ class Numpy(SurfaceNodes):
         ]
 
     def begin(
-        self, dt: float, gravity: np.ndarray, speed: float, shift: ShiftConstants | None = None
-    ) -> None:
+        self, dt: float, gravity: np.ndarray, speed: float,
+        correction: CorrectionKinds | None = None,
+    ) -> None:  # fmt: skip
         """Begin a step.
 
         Args:
-            dt, gravity, speed, shift: See `Engine.begin`.
+            dt, gravity, speed, correction: See `Engine.begin`.
         """
-        self.shifting.constants = shift
+        self.correction = correction
         self.dt, self.gravity, self.mirrors, self.change_share = dt, gravity, 1.0, 0.0
         if self.sums is not None:
             self.mirrors, self.change_share = self.sums.shares(dt)
@@ -222,8 +225,7 @@ class Numpy(SurfaceNodes):
         some = mass[..., None] > 0
         summed = np.where(some, self.momentum / np.where(some, mass[..., None], 1.0), 0.0)
         if not self.dt:
-            groups = None if plan.rules is None else plan.rules.phase_sets
-            self.v = summed if groups is None else mean_velocities(summed, mass, groups)
+            self.v = mean_velocities(summed, mass, phase_sets(plan))
             if division is not None:
                 division.place()
                 division.average(self.v, self.mass[..., 0])
@@ -233,16 +235,17 @@ class Numpy(SurfaceNodes):
         v = np.where(some, summed + self.dt * self.gravity, 0.0)
         self._place_colliders()
         self.contact.along_walls(self.offset)
-        if plan.flip is not None:  # phases that do not share their pressure
+        if plan.separates_stress:  # what no feature distributes acts on its phase alone
             by_itself = np.ones(len(v), bool)
-            if plan.rules is not None:
-                by_itself = (plan.rules.mixture_set < 0) | ~np.asarray(plan.rules.fluid, bool)
+            for feature in plan.features:
+                if feature.shared_stress is not None:
+                    by_itself &= ~feature.shared_stress
             own = np.where(some, self.forces / np.where(some, mass[..., None], 1.0), 0.0)
             v[by_itself] += own[by_itself]
             self.forces[by_itself] = 0.0
-        if self.sharing is not None:
-            volumes = self.sharing.volumes(mass, counted)
-            self.drift = self.sharing.apply(v, mass, self.forces, volumes, self.offset, self.dt)
+        self.velocity_before = summed
+        for stage in self.stages:
+            stage.after_stress(self, v, mass)
         if division is not None:
             mass = self.mass[..., 0].copy()
             division.unite(v, mass, self.offset, self.volume)
@@ -257,11 +260,8 @@ class Numpy(SurfaceNodes):
             dense.constrain(v[p], p, self.record(p, 1.0, mass[p]), hold)
         if division is not None:
             division.part(v)
-        if self.sharing is not None:
-            self.flux, self.share, self.full = self.sharing.flux(v, mass, volumes)
-            v = v - self.drift
-        if plan.flip is not None:
-            self.change = v - summed
+        for stage in self.stages:
+            v = stage.after_walls(self, v, mass)
         self.v = v
         self.carried.average()
 
@@ -295,10 +295,8 @@ class Numpy(SurfaceNodes):
     def _gathered_fields(self) -> list[tuple[np.ndarray, float]]:
         """Return the velocity fields that particles gather, and the share they take of each."""
         fields = [(self.v, self.mirrors)]
-        if self.sharing is not None:
-            fields += [(self.flux, 0.0), (self.drift, 0.0)]
-        if self.plan.flip is not None:
-            fields.append((self.change, self.change_share))
+        for stage in self.stages:
+            fields += stage.gathered_fields(self.change_share)
         return fields
 
     def gather(self, step: int) -> StepReport:
@@ -318,20 +316,30 @@ class Numpy(SurfaceNodes):
 
     def correct_transfers(self, times: int) -> list[AccumulatorOverflow]:
         """Add `times` the motion that a step of no time has taken from the particles."""
-        self.shifting.replace_mass(self.mass, self.groups, self.stencils)
-        fullness = self.shifting.nodal_fullness(
-            self.mass, self.movers, self.contact.collider, self.contact.division
-        )
-        for group, stencil in zip(self.groups, self.stencils, strict=True):
+        own = self.correction
+        if own is not None:
+            distance = distance_from_colliders(self.movers, self.dense, self.contact.collider)
+            correction = self._dense_correction()
+            correction.begin(
+                self.mass, self.groups, self.stencils, distance, self.contact.division
+            )  # fmt: skip
+        for g, (group, stencil) in enumerate(zip(self.groups, self.stencils, strict=True)):
             if len(group) and not group.plan.is_carried:
                 field, dense = self.v[group.plan.phase], self.dense
                 L = dense.gather_slopes(field, stencil).reshape(-1, 9)
                 for name, gathered in (("v", dense.gather(field, stencil)), ("C", L)):
                     current = get_channel(group, name)
                     put_channel(group, name, current + times * (current - gathered))
-                if fullness is not None and group.plan.shifts:
-                    self.shifting.apply(group, stencil, fullness[group.plan.phase])
+                if own is not None and g in own.groups:
+                    correction.apply(group, stencil, own.particles)
         return []
+
+    def _dense_correction(self) -> Any:
+        """Return how a feature takes part in steps of no time."""
+        if self.dense_correction is None:
+            own = (feature.dense_correction(self.dense) for feature in self.features.values())
+            self.dense_correction = next(each for each in own if each is not None)
+        return self.dense_correction
 
     def _gather(
         self, group: ParticleGroup, stencil: Stencil, split: np.ndarray, step: int
@@ -347,14 +355,12 @@ class Numpy(SurfaceNodes):
         v, L = dense.gather(self.v[p], stencil), dense.gather_slopes(self.v[p], stencil)
         trace, transport = np.abs(np.trace(L, axis1=1, axis2=2)), v
         new_velocity = v
-        if self.plan.flip is not None:
-            kept_velocity = get_channel(group, "v") + dense.gather(self.change[p], stencil)
-            new_velocity = v + self.plan.flip.over(self.dt) * (kept_velocity - v)
+        for stage in self.stages:
+            new_velocity = stage.particle_velocity(group, stencil, v, self.dt)
         put_channel(group, "v", new_velocity)
         put_channel(group, "C", L.reshape(-1, 9))
-        if plan.shares:
-            transport = v + np.where(split[:, None], dense.gather(self.drift[p], stencil), 0.0)
-            L = self._strain(group, stencil, split, L)
+        for stage in self.stages:
+            transport, L = stage.motion(group, stencil, split, transport, L)
         if plan.cell_dilatation:
             L = with_divergence(L, cell_divergence(self.v[p], stencil))
         if plan.space:
@@ -374,23 +380,8 @@ class Numpy(SurfaceNodes):
     def _fill_fraction(self, group, stencil) -> np.ndarray:
         """Return the filled fraction of the space around the particles of a liquid."""
         p, dense = group.plan.phase, self.dense
-        if group.plan.shares:
-            return dense.gather(dense.symmetrize(self.full[p])[..., None], stencil)[:, 0]
+        for stage in self.stages:
+            if (fraction := stage.fill_fraction(group, stencil)) is not None:
+                return fraction
         mass = dense.complete_wall_mass(self.mass[p])
         return dense.gather(mass, stencil)[:, 0] / (group.plan.density * dense.dx**3)
-
-    def _strain(self, group, stencil, split, L) -> np.ndarray:
-        """Return the strain rate with the mixture's volume flux; store the porosity.
-
-        Where volume exceeds space, the volume ratio relaxes.
-        """
-        p, dense = group.plan.phase, self.dense
-        flux_gradient = dense.gather_slopes(self.flux[p], stencil, moments=True)
-        rate = np.trace(flux_gradient, axis1=1, axis2=2)
-        if group.plan.stores_porosity:
-            symmetric = [dense.symmetrize(field[p])[..., None] for field in (self.share, self.full)]
-            porosity, full = (dense.gather(field, stencil)[:, 0] for field in symmetric)
-            porosity = np.where(split, np.clip(porosity, MIN_POROSITY, 1.0), 1.0)
-            put_channel(group, "share", porosity[:, None])
-            rate = rate / porosity - OVERFILL_RELAXATION_RATE * np.maximum(full - 1.0, 0.0)
-        return np.where(split[:, None, None], with_divergence(L, rate), L)

@@ -15,32 +15,31 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vgmpi.kernels.grid.node_stages import after_stress, after_walls, before_stress
 from vgmpi.kernels.kernel_arguments import NODE_MASS_FLOOR
+from vgmpi.kernels.simd.cooperative import flat_pointer, strided_range, sync_threads
 from vgmpi.kernels.simd.row_ops import broadcast, fourth_of, horizontal_max, squared, with_fourth
 from vgmpi.kernels.simd.vector16 import load, store
+from vgmpi.kernels.wall_boundary import project_tangential
 from vgmpi.materials.tensor_math.select import select
 from vgmpi.runtime.jit import device_function
 
-from .mixture_workspace import ROW, collect_members
+from .workspace import ROW, collect_members, to_pointers
 
 MIN_VOLUME_FRACTION = 1e-3  # [-] fraction of a node's fluid volume below which the drift is bounded
 MIN_POROSITY = 0.05  # [-] least volume fraction of a fluid in the presence of sand
 
 
-class BlockContext(NamedTuple):
-    """One block: its node blocks are n0 .. n1, its first node is `low`."""
+class MixtureStage(NamedTuple):
+    """Stage of phases that share space."""
 
-    n0: int
-    n1: int
-    may_touch: bool  # whether phases may touch here, so that offsets exist
-    at_wall: bool  # whether some of its nodes are on or beyond a wall
-    low_x: int
-    low_y: int
-    low_z: int
+    flux: np.ndarray  # (node blocks, 256) volume flux [m/s] and fluid fraction (out)
+    drift: np.ndarray  # (node blocks, 256) [m/s] drift (out); any array if none is kept apart
+    tables: tuple  # MixtureTables
 
 
-class NodalFields(NamedTuple):
-    """Nodal arrays of node blocks, as pointers to their data (vector16.pointer)."""
+class MixtureFields(NamedTuple):
+    """Nodal arrays of a block's mixtures, as pointers to their data."""
 
     phase: np.ndarray  # (node blocks,) phase of each
     min_cell_mass: np.ndarray  # (phases,) [kg] mass of a full cell
@@ -50,7 +49,45 @@ class NodalFields(NamedTuple):
     offsets: np.ndarray  # same shape: offsets [m4] and volume [m3], if the block's phases may touch
     flux: np.ndarray  # same shape: volume flux [m/s] and fluid fraction, which particles gather
     drift: np.ndarray  # same shape: drifts [m/s]
-    change: np.ndarray  # same shape: change of velocity [m/s]
+
+
+@device_function
+def _with_mixtures(kind, fields):
+    """Return the nodal arrays with those of the mixtures."""
+    return MixtureFields(
+        fields.phase, fields.min_cell_mass, fields.cells, fields.grid, fields.forces,
+        fields.offsets, flat_pointer(kind.flux), flat_pointer(kind.drift),
+    )  # fmt: skip
+
+
+@before_stress.register(MixtureStage)
+def _(kind, block, fields, push):
+    pass
+
+
+@after_stress.register(MixtureStage)
+def _(kind, block, fields, scratch, walls, phases, step):
+    if block.at_wall and block.may_touch:
+        _project_offsets(fields.offsets, block, walls, phases, fields.phase)
+    work, rules = to_pointers(scratch, kind.tables)
+    couple_block(block, _with_mixtures(kind, fields), work, rules, step.dt, step.dx)
+
+
+@after_walls.register(MixtureStage)
+def _(kind, block, has_impulses, fields, scratch, dx):
+    work, rules = to_pointers(scratch, kind.tables)
+    store_mixture_values(block, has_impulses, _with_mixtures(kind, fields), work, rules, dx)
+
+
+@device_function
+def _project_offsets(offsets, block, walls, phases, phase_of):
+    """Remove the component across walls from the offsets (256 node blocks,) of a block."""
+    for nb in range(block.n0, block.n1):
+        kinds = walls.kinds if phases.liquid[phase_of[nb]] else walls.kinds_for_solids
+        for node in strided_range(64):
+            i, j, k = block.low_x + node // 16, block.low_y + node // 4 % 4, block.low_z + node % 4
+            project_tangential(offsets, 256 * nb + 4 * node, i, j, k, walls.cells, kinds)
+    sync_threads()
 
 
 @device_function
@@ -62,8 +99,8 @@ def couple_block(block, fields, work, rules, dt, dx):
     Args:
         block: Context of the block.
         fields: Nodal arrays (in/out).
-        work: Scratch of the calling thread, see mixture_workspace.to_pointers.
-        rules: Interaction rules as tables, see mixture_workspace.to_pointers.
+        work: Scratch of the calling thread, see workspace.to_pointers.
+        rules: Interaction rules as tables, see workspace.to_pointers.
         dt: Time step [s].
         dx: Cell size [m].
     """

@@ -1,17 +1,17 @@
-"""Color exchange between bodies: who may exchange, and the scaling of transferred coefficients.
+"""Plan of color transfer: whose colors mix, and the scaling of the coefficients."""
 
-Colors that travel through the grid do so with every step if `color_transfer = "step"`.
-"""
-
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from vgmpi.gaussians.spherical_harmonics import COEFFICIENTS
-from vgmpi.materials.couplings.interaction import MIXING
+from vgmpi.planning.feature_plan import FeaturePlan, PlanDraft
+from vgmpi.planning.phases_and_groups import GroupPlan, color_sets
+from vgmpi.planning.plan import Plan
+from vgmpi.planning.step_costs import COSTS, StageCost, StepCosts
 from vgmpi.scene.scene import Scene
 
-from .interaction_rules import connected_sets
+CHANNEL = "color"  # of the particles
 
 
 class ColorExchange(NamedTuple):
@@ -26,26 +26,82 @@ class ColorExchange(NamedTuple):
     span: np.ndarray  # (phases, K) largest remaining value
 
 
-def color_sets(scene: Scene) -> list[int | None]:
-    """Return the number of the set in which the colors of each object may travel.
+class ColorTransferPlan(FeaturePlan):
+    """Colors of a run that travel with the steps.
 
-    Bodies of one phase, and of fluids that mix, are in one set. Scenery has None. Files store the
-    number (`color_group` of an object), so that a renderer need not know of couplings.
+    Attributes:
+        exchange: Who exchanges them.
     """
-    phase_of = [scene.phase_of(entity) for entity in scene.entities]
-    names = sorted({name for name in phase_of if name is not None})
-    number = {name: k for k, name in enumerate(names)}
-    numbers_of: dict[str, set[int]] = {}
-    for entity, name in zip(scene.entities, phase_of, strict=True):
-        if name is not None:
-            numbers_of.setdefault(str(entity.material), set()).add(number[name])
-    pairs = [(k, k) for k in range(len(names))]  # every phase is paired with itself
-    for coupling in scene.coupling:
-        if coupling.rule == MIXING:
-            first, second = (numbers_of.get(name, ()) for name in coupling.between)
-            pairs += [(a, b) for a in first for b in second]
-    set_of = connected_sets(len(names), pairs)
-    return [None if name is None else int(set_of[number[name]]) for name in phase_of]
+
+    name, title = "color_transfer", "colors that travel"
+    particle_channels = (CHANNEL,)
+
+    def __init__(self, exchange: ColorExchange):
+        """Take the exchange."""
+        self.exchange = exchange
+        self.summed_fields = int(exchange.coefficients.max())
+        self.frame_bytes = 4 * 3 * self.summed_fields
+
+    def particle_cost(self, group: GroupPlan, costs: StepCosts) -> StageCost | None:
+        """Return the price of the colors of a particle.
+
+        Args:
+            group, costs: See `FeaturePlan.particle_cost`.
+        """
+        count = count_of(group)
+        return count * costs.carried_values if count else None
+
+    def field_requests(self, plan: Plan) -> tuple:
+        """Return the request for a nodal field of each coefficient."""
+        from .coupling import request_color  # it compiles
+
+        return tuple(request_color(plan, self.exchange, k) for k in range(self.summed_fields))
+
+    def for_compilation(self) -> "ColorTransferPlan":
+        """Return this plan: its kernels act on all particles."""
+        return self
+
+    def start(self, context: Any) -> Any:
+        """Return the colors as they act in a run.
+
+        Args:
+            context: See `FeaturePlan.start`.
+        """
+        from .coupling import ColorTransfer  # it compiles
+
+        return ColorTransfer(self.exchange)
+
+
+def count_of(group: GroupPlan) -> int:
+    """Return the number of color coefficients that a particle of a group carries."""
+    return group.channels[CHANNEL].width // 3 if CHANNEL in group.channels else 0
+
+
+def plan_colors(
+    draft: PlanDraft, ranges: np.ndarray | None
+) -> tuple[ColorTransferPlan | None, PlanDraft]:
+    """Plan the colors that travel.
+
+    Args:
+        draft: Phases and groups.
+        ranges: Result of `coefficient_ranges`, None if unknown.
+
+    Returns:
+        The plan, None if all colors are equal, and the draft with channels of their groups.
+    """
+    exchange = color_exchange(draft.scene, draft.phases, ranges)
+    if exchange is None:
+        return None, draft
+    groups = tuple(
+        group._replace(
+            extra_channels=(*group.extra_channels, (CHANNEL, "1", 3 * count)),
+            cost=group.cost + COSTS.carried_values.total * count,
+        )
+        if (count := int(exchange.coefficients[group.phase]))
+        else group
+        for group in draft.groups
+    )
+    return ColorTransferPlan(exchange), draft._replace(groups=groups)
 
 
 def color_exchange(scene: Scene, phases, shades: np.ndarray | None) -> ColorExchange | None:

@@ -5,8 +5,10 @@ from typing import NamedTuple
 import numpy as np
 
 from vgmpi.kernels.simd.vector16 import pointer
-from vgmpi.materials.couplings.interaction import InteractionRules
+from vgmpi.runtime.aligned_arrays import aligned_zeros
 from vgmpi.runtime.jit import device_function
+
+from .rules import InteractionRules
 
 ROW = 16  # numbers in a row of four nodes
 
@@ -32,10 +34,10 @@ class MixtureWorkspace(NamedTuple):
     R: np.ndarray  # (16 n,) [kg m/s] momenta in the elimination, then velocities
 
 
-def mixture_workspace(n: int, real: np.dtype, aligned) -> MixtureWorkspace:
-    """Allocate scratch for n phases; `aligned` makes an array of a shape and dtype."""
-    M, U, S, R = (aligned((ROW * n,), real) for _ in range(4))
-    V, K = aligned((ROW * n + ROW,), real), aligned((ROW * n * n,), real)
+def mixture_workspace(n: int, real: np.dtype) -> MixtureWorkspace:
+    """Allocate scratch for n phases."""
+    M, U, S, R = (aligned_zeros((ROW * n,), real) for _ in range(4))
+    V, K = aligned_zeros((ROW * n + ROW,), real), aligned_zeros((ROW * n * n,), real)
     block, wet, group = (np.zeros(n, np.int64) for _ in range(3))
     grains, pores, drag, printed = (np.zeros(k) for k in (n, n, n * n, n * n))
     return MixtureWorkspace(block, wet, group, grains, pores, drag, printed, M, V, U, K, S, R)

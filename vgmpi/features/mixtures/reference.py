@@ -3,12 +3,16 @@
 Formulas and sources are in docs/explanation/mixtures.md. All arrays run over phases, then nodes.
 """
 
+from typing import Any
+
 import numpy as np
 
-from vgmpi.kernels.grid.mixture_coupling import MIN_POROSITY, MIN_VOLUME_FRACTION
-from vgmpi.materials.couplings.interaction import InteractionRules
+from vgmpi.features.active_feature import DenseStage
+from vgmpi.parallel.particle_group import ParticleGroup
 
-from .dense_grid import Dense
+from .gather import OVERFILL_RELAXATION_RATE
+from .kernels import MIN_POROSITY, MIN_VOLUME_FRACTION
+from .rules import InteractionRules
 
 
 def _ratio(a, b):
@@ -16,14 +20,78 @@ def _ratio(a, b):
     return np.where(b > 0, a / np.where(b > 0, b, 1.0), 0.0)
 
 
-class MixtureCoupling:
+class DenseMixtures(DenseStage):
     """Coupling of a scene's sets of phases, one set after the other."""
 
-    def __init__(self, rules: InteractionRules, densities: np.ndarray, dense: Dense):
+    def __init__(self, rules: InteractionRules, densities: np.ndarray, dense: Any):
+        """Take the rules, the densities of the phases' lightest materials, and the nodes."""
         self.rules, self.dense, self.dx = rules, dense, dense.dx
         self.densities = densities[:, None, None, None]  # of each phase's lightest material
         self.sets = [np.flatnonzero(rules.mixture_set == k) for k in range(rules.sets)]
         self.fluid = np.asarray(rules.fluid, bool)[:, None, None, None]
+
+    def after_stress(self, nodes: Any, v: np.ndarray, mass: np.ndarray) -> None:
+        """Couple the phases.
+
+        Args:
+            nodes, v, mass: See `DenseStage.after_stress`.
+        """
+        self.V = self.volumes(mass, nodes.counted[..., 0])
+        self.drift = self.apply(v, mass, nodes.forces, self.V, nodes.offset, nodes.dt)
+
+    def after_walls(self, nodes: Any, v: np.ndarray, mass: np.ndarray) -> np.ndarray:
+        """Find the volume flux; return the velocities without the drift.
+
+        Args:
+            nodes, v, mass: See `DenseStage.after_walls`.
+        """
+        self.flux_of_phases, self.share, self.full = self.flux(v, mass, self.V)
+        return v - self.drift
+
+    def gathered_fields(self, change_share: float) -> list[tuple[np.ndarray, float]]:
+        """Return the volume flux and the drift.
+
+        Args:
+            change_share: See `DenseStage.gathered_fields`.
+        """
+        return [(self.flux_of_phases, 0.0), (self.drift, 0.0)]
+
+    def motion(
+        self, group: ParticleGroup, stencil: Any, split: np.ndarray, v: np.ndarray, L: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the velocities with the drift, and the gradients with the volume flux.
+
+        The porosity is stored. Where volume exceeds space, the volume ratio relaxes.
+
+        Args:
+            group, stencil, split, v, L: See `DenseStage.motion`.
+        """
+        if not group.plan.shares_space:
+            return v, L
+        p, dense = group.plan.phase, self.dense
+        v = v + np.where(split[:, None], dense.gather(self.drift[p], stencil), 0.0)
+        flux_gradient = dense.gather_slopes(self.flux_of_phases[p], stencil, moments=True)
+        rate = np.trace(flux_gradient, axis1=1, axis2=2)
+        if group.plan.stores_porosity:
+            symmetric = [dense.symmetrize(field[p])[..., None] for field in (self.share, self.full)]
+            porosity, full = (dense.gather(field, stencil)[:, 0] for field in symmetric)
+            porosity = np.where(split, np.clip(porosity, MIN_POROSITY, 1.0), 1.0)
+            group.put("share", group.index(), porosity[:, None])
+            rate = rate / porosity - OVERFILL_RELAXATION_RATE * np.maximum(full - 1.0, 0.0)
+        added = (rate - np.trace(L, axis1=1, axis2=2)) / 3.0
+        return v, np.where(split[:, None, None], L + added[:, None, None] * np.eye(3), L)
+
+    def fill_fraction(self, group: ParticleGroup, stencil: Any) -> np.ndarray | None:
+        """Return the filled fraction of the space around particles that share space.
+
+        Args:
+            group, stencil: See `DenseStage.fill_fraction`.
+        """
+        if not group.plan.shares_space:
+            return None
+        full = self.dense.symmetrize(self.full[group.plan.phase])[..., None]
+        fraction: np.ndarray = self.dense.gather(full, stencil)[:, 0]
+        return fraction
 
     def volumes(self, mass: np.ndarray, counted: np.ndarray) -> np.ndarray:
         """Return the volume of each phase [m^3].
@@ -183,20 +251,3 @@ class MixtureCoupling:
             own = np.minimum(mass[members] / self.densities[members], self.dense.space)
             full[members] = np.maximum(fluid + grains, own) / self.dense.space
         return flux, porosity, full
-
-
-def mean_velocities(v: np.ndarray, mass: np.ndarray, groups: np.ndarray) -> np.ndarray:
-    """Return velocities averaged over phases that move with one velocity.
-
-    Args:
-        v (in/out): Velocities, shape (phases, ..., 3) [m/s].
-        mass: Nodal masses, shape (phases, ...) [kg].
-        groups: Phases of one number move as one; -1: each by itself, shape (phases,).
-    """
-    for group in np.unique(groups[groups >= 0]):
-        m = mass[groups == group][..., None]
-        some, total = m.sum(0) > 0, m.sum(0)
-        v[groups == group] = np.where(
-            some, (m * v[groups == group]).sum(0) / np.where(some, total, 1.0), 0.0
-        )
-    return v

@@ -4,8 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from vgmpi.kernels.colliders.moving_colliders import MovingColliders
-from vgmpi.kernels.transfer.particle_shifting import (
+from vgmpi.parallel.block_lattice import position_limits
+from vgmpi.parallel.particle_group import ParticleGroup
+
+from .kernels import (
     FULL_FILL,
     LIQUID_FILL,
     MARGIN,
@@ -17,65 +19,43 @@ from vgmpi.kernels.transfer.particle_shifting import (
     SPRAY_FILL,
     TOLERATED_FILL,
     WALL_GAP_CELLS,
+    NodeFill,
     ShiftConstants,
 )
-from vgmpi.parallel.block_lattice import position_limits
-from vgmpi.parallel.particle_group import ParticleGroup
-from vgmpi.planning.plan import Plan
-from vgmpi.solver.engines.plan_tables import node_fill
-
-from .dense_grid import Dense, Stencil
-from .group_channels import get_channel, put_channel
-from .moving_colliders import distance_from_colliders
 
 
-class ParticleShifting:
-    """Shifts of the liquids of a plan; `constants` are those of the present step of no time."""
+class DenseShifting:
+    """Shifts of liquids on dense arrays."""
 
-    def __init__(self, plan: Plan, dense: Dense):
-        self.dense = dense
-        self.table = node_fill(plan)
-        self.constants: ShiftConstants | None = None
+    def __init__(self, fill: NodeFill, dense: Any):
+        """Take what fills the nodes' cells, and the nodes of the domain."""
+        self.fill, self.dense = fill, dense
 
-    def replace_mass(self, mass: np.ndarray, groups: list, stencils: list[Stencil]) -> None:
-        """Replace nodal masses by rest volumes in the phases whose liquids differ in density.
+    def begin(
+        self, mass: np.ndarray, groups: list, stencils: list, distance: np.ndarray | None,
+        division: Any,
+    ) -> None:  # fmt: skip
+        """Find the part of each node's cell that is filled, with its images at mirroring walls.
 
         Args:
-            mass: Nodal masses of the phases (in/out), shape (phases, ..., 1) [kg].
+            mass: Nodal masses of the phases (in/out), shape (phases, ..., 1) [kg]; rest volumes
+                [m3] replace them where the liquids of a phase differ in density.
             groups, stencils: Groups of particles, and their stencils.
+            distance: Distance of the nodes from colliders [m], or None without.
+            division: What divides nodes between phases, or None; it is a half space for each half.
         """
-        if self.constants is None or self.table is None:
-            return
-        for p in np.flatnonzero(self.table.by_volume):
+        for p in np.flatnonzero(self.fill.by_volume):
             mass[p] = 0.0
             for group, stencil in zip(groups, stencils, strict=True):
                 if group.plan.phase == p:
-                    self.dense.sum(mass[p], stencil, get_channel(group, "vol0"))
+                    self.dense.sum(mass[p], stencil, _get(group, "vol0"))
             self.dense.fold(None, mass[p])
-
-    def nodal_fullness(
-        self, mass: np.ndarray, movers: MovingColliders | None, at_rest: np.ndarray,
-        division: Any,
-    ) -> np.ndarray | None:  # fmt: skip
-        """Return the part of each node's cell that is filled, with its images at mirroring walls.
-
-        Args:
-            mass: Nodal masses [kg] or rest volumes [m3] of the phases, shape (phases, ..., 1).
-            movers, at_rest: Colliders, see `distance_from_colliders`.
-            division: What divides nodes between phases, or None; it is a half space for each half.
-
-        Returns:
-            Fullness that each phase sees, shape (phases, ..., 1), or None if no particles are
-            shifted now.
-        """
-        if self.constants is None or self.table is None:
-            return None
-        filled = np.einsum("p,p...->p...", self.table.space.astype(np.float64), mass)
+        filled = np.einsum("p,p...->p...", self.fill.space.astype(np.float64), mass)
         if division is not None:
             seen = [self._fullness(*division.seen_from(half, filled)) for half in (-1, 0, 1)]
-            return np.stack([seen[half + 1] for half in division.half])
-        distance = distance_from_colliders(movers, self.dense, at_rest)
-        return np.stack([self._fullness(filled.sum(0), distance)] * len(mass))
+            self.fullness = np.stack([seen[half + 1] for half in division.half])
+        else:
+            self.fullness = np.stack([self._fullness(filled.sum(0), distance)] * len(mass))
 
     def _fullness(self, filled: np.ndarray, distance: np.ndarray | None) -> np.ndarray:
         """Return the fullness of nodes, shape (..., 1).
@@ -102,30 +82,29 @@ class ParticleShifting:
                 share *= np.expand_dims(outside, [a for a in range(3) if a != axis])
         return share
 
-    def apply(self, group: ParticleGroup, stencil: Stencil, fullness: np.ndarray) -> None:
+    def apply(self, group: ParticleGroup, stencil: Any, constants: ShiftConstants) -> None:
         """Relax the volumes of a liquid to its fullness, and separate particles that crowd.
 
         Args:
             group: Particles (in/out).
             stencil: Stencil of the particles.
-            fullness: Fullness of the nodes, shape (..., 1).
+            constants: Constants of the shift.
         """
-        dense, constants = self.dense, self.constants
-        assert constants is not None
+        dense, fullness = self.dense, self.fullness[group.plan.phase]
         crowd = dense.gather(fullness, stencil)[:, 0]
         slope = dense.dx * dense.gather_slopes(fullness, stencil, moments=True)[:, 0]
-        theta, C = get_channel(group, "theta"), get_channel(group, "C")
+        theta, C = _get(group, "theta"), _get(group, "C")
         excess = crowd * np.exp(theta[:, 0]) - 1.0
         margin = MARGIN + MARGIN_GROWTH * np.maximum(1.0 - crowd, 0.0)
         margin *= np.linalg.norm(slope, axis=1)
         inner = np.clip((crowd - MIN_FILL) / (FULL_FILL - MIN_FILL), 0.0, 1.0)
         error = np.maximum(excess - margin, 0.0) + inner * np.minimum(excess + margin, 0.0)
         rate = constants.duration * np.linalg.norm(C, axis=1)
-        put_channel(group, "theta", theta - (rate * np.minimum(error, MAX_FILL_ERROR))[:, None])
+        _put(group, "theta", theta - (rate * np.minimum(error, MAX_FILL_ERROR))[:, None])
         spray = np.clip((LIQUID_FILL - crowd) / (LIQUID_FILL - SPRAY_FILL), 0.0, 1.0)
         diagonal = [0, 4, 8]
         C[:, diagonal] -= (spray * C[:, diagonal].mean(1))[:, None]
-        put_channel(group, "C", C)
+        _put(group, "C", C)
 
         surplus = np.maximum(fullness - TOLERATED_FILL, 0.0)
         gradient = sum(
@@ -149,7 +128,7 @@ def half_space_share(distance: np.ndarray) -> np.ndarray:
 
 
 def _move(
-    group: ParticleGroup, dense: Dense, distance: np.ndarray, wall_shift: np.ndarray,
+    group: ParticleGroup, dense: Any, distance: np.ndarray, wall_shift: np.ndarray,
     shift: ShiftConstants,
 ) -> None:  # fmt: skip
     """Move particles by `distance`, shape (n, 3) [cells], except what leads to a wall.
@@ -166,3 +145,13 @@ def _move(
     dither = np.array([shift.dither_x, shift.dither_y, shift.dither_z])
     units = np.floor(shift.cell_units * distance + np.where(distance != 0.0, dither, 0.0))
     group.xi[:, index] += units.T.astype(group.xi.dtype)
+
+
+def _get(group: ParticleGroup, name: str) -> np.ndarray:
+    """Return a channel of all particles as doubles, shape (n, width)."""
+    return group.get(name, group.index()).astype(np.float64)
+
+
+def _put(group: ParticleGroup, name: str, values: np.ndarray) -> None:
+    """Set a channel of all particles, shape (n, width)."""
+    group.put(name, group.index(), values)

@@ -1,9 +1,12 @@
 """Interaction rules: phases that share space, and the scene's couplings as kernels read them."""
 
+from typing import NamedTuple
+
 import numpy as np
 
-from vgmpi.materials.couplings.interaction import DRAG, MIXING, InteractionRules
+from vgmpi.materials.couplings.interaction import DRAG, MIXING
 from vgmpi.materials.material import law_function
+from vgmpi.planning.phases_and_groups import GroupPlan, connected_sets
 from vgmpi.scene.scene import Scene
 
 WAVE_MARGIN = (
@@ -11,6 +14,51 @@ WAVE_MARGIN = (
 )
 FRACTION_SAMPLES = 1001  # number of volume fractions at which the waves of two fluids are evaluated
 WAVE_ITERATIONS = 60  # iterations for the wave speed and its step; each halves the error
+
+
+class InteractionRules(NamedTuple):
+    """Interaction rules of the phases, for the kernels; rows and columns are phases.
+
+    A mixture set holds phases that share space: fluids that mix, sands with fluids in their pores.
+    """
+
+    pair: np.ndarray  # (n, n) CONTACT, MIXING or DRAG
+    mixture_set: np.ndarray  # (n,) mixture set, or -1
+    sets: int  # number of mixture sets
+    fluid: np.ndarray  # (n,) whether it is a fluid
+    mix: np.ndarray  # (n,) mixing group, or -1
+    mixing_group_count: int  # number of mixing groups
+    diffusion: np.ndarray  # (mixes,) [m2/s]
+    slip_relaxation_time: np.ndarray  # (mixes,) [s]
+    drag: np.ndarray  # (n, n) [kg/(m3 s)] drag coefficient, 0 where there is none
+    porosity: np.ndarray  # (n,) [-] volume fraction of pores in a sand
+    has_drag: bool  # whether a fluid flows through sand
+    volume: np.ndarray  # (n,) [m3/kg] specific volume of a sand's grains
+    printed_mix: np.ndarray  # (mixes,) bool: mixing as published
+    printed_drag: np.ndarray  # (n, n) bool: drag as published
+
+    @property
+    def drifting(self) -> np.ndarray:
+        """Return the phases that drift by diffusion, as published or not: (n,) bool."""
+        return self._of_phases(self.diffusion > 0.0)
+
+    @property
+    def conservative_drift(self) -> np.ndarray:
+        """Return the phases whose drift is kept out of their momentum: (n,) bool.
+
+        As published it is part of the momentum.
+        """
+        return self._of_phases((self.diffusion > 0.0) & ~np.asarray(self.printed_mix, bool))
+
+    @property
+    def phase_sets(self) -> np.ndarray:
+        """Return the mixing group of phases without slip, which share one velocity, or -1: (n,)."""
+        still = (np.asarray(self.slip_relaxation_time) == 0.0) & ~np.asarray(self.printed_mix, bool)
+        return np.where(self._of_phases(still), self.mix, -1)
+
+    def _of_phases(self, mixes: np.ndarray) -> np.ndarray:
+        """Map (mixes,) bool of the mixing groups to (n,) of the phases, False for all others."""
+        return np.append(mixes, False)[self.mix]  # index -1 reads the appended False
 
 
 def interaction_rules(scene: Scene, groups, phases) -> InteractionRules | None:
@@ -110,22 +158,6 @@ def _one_sand_per_phase(scene: Scene, couplings, groups, phases_by_material) -> 
                     raise scene.error([(("coupling", k, "between"), f"{name!r}: {message}")])
 
 
-def connected_sets(n: int, pairs: list[tuple[int, int]]) -> np.ndarray:
-    """Return the number of the connected set of each of n phases, -1 without a pair, shape (n,)."""
-    lowest = np.arange(n)
-    moved = True
-    while moved:  # usually two passes, even with thousands of bodies
-        moved = False
-        for a, b in pairs:
-            moved |= bool(lowest[a] != lowest[b])
-            lowest[a] = lowest[b] = min(lowest[a], lowest[b])
-    named = np.isin(np.arange(n), pairs)
-    set_of = np.full(n, -1)
-    if named.any():
-        set_of[named] = np.unique(lowest[named], return_inverse=True)[1]
-    return set_of
-
-
 def _mixing_numbers(
     scene: Scene, couplings, phases_by_material, mix
 ) -> list[tuple[float, float, bool]]:
@@ -143,8 +175,8 @@ def _mixing_numbers(
 
 
 def with_slip_wave_factors(
-    groups: tuple, rules: InteractionRules | None, step_length: float
-) -> tuple:
+    groups: tuple[GroupPlan, ...], rules: InteractionRules, step_length: float
+) -> tuple[GroupPlan, ...]:
     """Return the groups with the factor by which slip in a mixture raises the squared wave speed.
 
     The factor is relative to the group's own squared wave speed at rest. It is 1 if no wave is much
@@ -153,12 +185,10 @@ def with_slip_wave_factors(
 
     Args:
         groups: Groups of the plan.
-        rules: Interaction rules, or None.
+        rules: Interaction rules.
         step_length: Distance that a wave may travel in a step [m].
     """
     factors = [1.0] * len(groups)
-    if rules is None:
-        return groups
     slip_relaxation_time = np.append(
         np.where(rules.printed_mix, 0.0, rules.slip_relaxation_time), 0.0
     )  # -1 is the last
@@ -174,7 +204,9 @@ def with_slip_wave_factors(
                 )
                 if fastest > WAVE_MARGIN * max(own[k], own[m]):
                     factors[k] = max(factors[k], fastest / own[k])
-    return tuple(g._replace(slips=s) for g, s in zip(groups, factors, strict=True))
+    return tuple(
+        g._replace(wave=g.wave._replace(factor=s)) for g, s in zip(groups, factors, strict=True)
+    )
 
 
 def _wave2(group) -> float:

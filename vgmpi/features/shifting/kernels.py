@@ -32,13 +32,19 @@ from vgmpi.kernels.simd.row_ops import (
     horizontal_max,
     load_records,
 )
-from vgmpi.kernels.simd.vector16 import load, store
+from vgmpi.kernels.simd.vector16 import load, pointer, store
+from vgmpi.kernels.transfer.g2p import squared_norm
+from vgmpi.kernels.transfer.liquid_volume import clamp_to_unit
+from vgmpi.kernels.transfer.transfer_correction import (
+    excess_of,
+    move_particles,
+    relax_state,
+    set_fourth_number,
+    store_excess,
+)
 from vgmpi.kernels.wall_boundary import SEPARATE, SIDE
 from vgmpi.materials.tensor_math.select import select
 from vgmpi.runtime.jit import device_function
-
-from .g2p import squared_norm
-from .liquid_volume import clamp_to_unit
 
 # [-] Below a plane surface 1 - fullness is (MARGIN + MARGIN_GROWTH (1 - fullness)) of the change of
 # the fullness per cell (tests/kernels/test_plane_surface.py). Only what is missing beyond that
@@ -140,22 +146,16 @@ def fill_of_phase(fill, volumes, nodes, nb, phase, offset):
     return fill.space[phase] * amount
 
 
-@device_function
-def store_fullness(n0, n1, phase_of, nodes, volumes, fill, block, solid, phases, dx):
-    """Store the fullness in place of the mass, at the nodes of liquids that are shifted.
+@set_fourth_number.register(NodeFill)
+def store_fullness(fill, b, tables, nodes, volumes, phases, dx):
+    """Store the fullness at the nodes of liquids that are shifted.
 
     Args:
-        n0, n1: Node blocks of a block.
-        phase_of: Phase of each node block.
-        nodes: Velocity and mass of the nodes, flat (in/out).
-        volumes: Rest volumes of the nodes, flat; read where liquids differ in density.
-        fill: What fills the cells, NodeFill.
-        block: Coordinates of the block, shape (3,).
-        solid: Row of the block among those near colliders, or -1.
-        phases: Constants of the phases.
-        dx: Cell size [m].
+        fill: What fills the cells.
+        b, tables, nodes, volumes, phases, dx: See `set_fourth_number`; volumes are rest volumes.
     """
-    first = -1
+    n0, n1, phase_of = tables.first[b], tables.first[b + 1], pointer(tables.phase)
+    block, solid, first = tables.coordinates[b], tables.solid[b], -1
     for nb in range(n0, n1):
         if fill.shifts[phase_of[nb]] and first < 0:
             first = nb
@@ -166,9 +166,7 @@ def store_fullness(n0, n1, phase_of, nodes, volumes, fill, block, solid, phases,
     for q in strided_range(64):
         o = 256 * first + 4 * q + 3
         if is_divided(phases, solid, q, dx):
-            _store_divided_fullness(
-                phases, n0, n1, phase_of, nodes, volumes, fill, block, solid, dx, q
-            )
+            _store_divided_fullness(fill, b, tables, nodes, volumes, phases, dx, q)
             continue
         total = fill_of_phase(fill, volumes, nodes, n0, phase_of[n0], 4 * q + 3)
         for nb in range(n0 + 1, n1):
@@ -188,13 +186,15 @@ def store_fullness(n0, n1, phase_of, nodes, volumes, fill, block, solid, phases,
 
 
 @device_function
-def _store_divided_fullness(phases, n0, n1, phase_of, nodes, volumes, fill, block, solid, dx, q):
+def _store_divided_fullness(fill, b, tables, nodes, volumes, phases, dx, q):
     """Store the fullness on either side of a thin wall, for which the wall is a half space.
 
     Args:
-        phases, n0, n1, phase_of, nodes, volumes, fill, block, solid, dx: See `store_fullness`.
+        fill, b, tables, nodes, volumes, phases, dx: See `set_fourth_number`.
         q: Node in its block.
     """
+    n0, n1, phase_of = tables.first[b], tables.first[b + 1], pointer(tables.phase)
+    block, solid = tables.coordinates[b], tables.solid[b]
     front = back = 0.0
     for nb in range(n0, n1):
         amount = fill_of_phase(fill, volumes, nodes, nb, phase_of[nb], 4 * q + 3)
@@ -213,15 +213,14 @@ def _store_divided_fullness(phases, n0, n1, phase_of, nodes, volumes, fill, bloc
             nodes[256 * nb + 4 * q + 3] = total + (1.0 - free) * share
 
 
-@device_function
-def store_excess(patch, excess, box):
-    """Store the fullness above what is tolerated in another patch; return whether there is any.
+@excess_of.register(ShiftConstants)
+def _(shift, fullness):
+    return np.maximum(fullness - TOLERATED_FILL, 0.0 * fullness)
 
-    Args:
-        patch: Patch with the fullness as fourth number.
-        excess: Patch (out); its first three numbers mean nothing.
-        box: Node range of the segment.
-    """
+
+@store_excess.register(ShiftConstants)
+def _(shift, patch, excess, box):
+    """Store the fullness above what is tolerated; the first three numbers mean nothing."""
     none = broadcast(patch, 0.0)
     limit, maximum = broadcast(patch, TOLERATED_FILL), broadcast(patch, 0.0)
     for i in range(box[0], box[1]):
@@ -233,17 +232,13 @@ def store_excess(patch, excess, box):
     return horizontal_max(maximum) > 0.0
 
 
-@device_function
-def relax_volume(f, p, cap, records, offset, shift):
+@relax_state.register(ShiftConstants)
+def relax_volume(shift, f, p, cap, records, offset):
     """Relax theta of 16 particles to what the fullness says, and stop that spray breathes.
 
     Args:
-        f: Particle channels, flat (in/out).
-        p: Index of the first particle.
-        cap: Stride of channels.
-        records: Gathered records, with the fullness as fourth number.
-        offset: Offset of the first record.
-        shift: ShiftConstants.
+        shift: Constants of the shift.
+        f, p, cap, records, offset: See `relax_state`.
     """
     r = load_records(records, offset)
     fullness, x, y, z = r[3], r[7], r[11], r[15]
@@ -284,19 +279,13 @@ def strain_rate(f, p, cap):
     return np.sqrt(squared_norm(load_tensor(f, p + AFFINE * cap, cap)))
 
 
-@device_function
-def shift_positions(f, xi, p, cap, records, offset, limit, shift):
+@move_particles.register(ShiftConstants)
+def shift_positions(shift, f, xi, p, cap, records, offset, limit):
     """Move 16 particles down the gradient of the excess of fullness, and off walls.
 
     Args:
-        f: Particle channels; they supply the precision.
-        xi: Fixed-point positions, flat (in/out).
-        p: Index of the first particle.
-        cap: Stride of channels.
-        records: Records with the excess as fourth number, and its gradient as slopes.
-        offset: Offset of the first record.
-        limit: Range of positions inside the domain, shape (3, 2) [cells from the block center].
-        shift: ShiftConstants.
+        shift: Constants of the shift.
+        f, xi, p, cap, records, offset, limit: See `move_particles`.
     """
     r = load_records(records, offset)
     k = -4.0 * SHIFT_FACTOR
