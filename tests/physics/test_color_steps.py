@@ -21,6 +21,7 @@ from scipy.special import erf
 from tests.support import simulate
 from tests.support.simulate import begin, by_id
 from tests.support.validation_record import held
+from vgmpi.features.color_transfer.plan import coefficient_ranges
 from vgmpi.gaussians.color_diffusion import Transfer
 from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.solver.restart.state_io import frame_rows
@@ -179,7 +180,8 @@ def test_higher_degrees_travel_with_fluids_alone(tmp_path, monkeypatch):
     def colored(scene):
         made = build_scene(scene)
         sh = np.random.default_rng(3).uniform(-1, 1, (len(made.x), 4, 3)).astype(np.float32)
-        return replace(made, sh=sh)
+        ranges = coefficient_ranges(len(made.objects), made.object, sh)
+        return replace(made, sh=sh, features=made.features | {"color_transfer": ranges})
 
     monkeypatch.setattr(simulate, "build_scene", colored)
     text = SCENE.replace("MORE", 'color_sh_degree = 1\ncolor_objects = ["left", "jug", "toy"]')
