@@ -329,8 +329,8 @@ class DenseStage:
         """Act after the separate stress impulses that no feature distributes.
 
         Args:
-            nodes: The engine: its `forces` and `counted` are the separate impulses [kg m/s] and the
-                volumes [m3], `offset` the field of offsets, `dt` [s] the length of the step.
+            nodes: Sums at the nodes: `forces` and `counted` are the separate impulses [kg m/s] and
+                the volumes [m3], `offset` the field of offsets, `dt` [s] the length of the step.
             v: Velocities (in/out), shape (phases, ..., 3) [m/s].
             mass: Masses, shape (phases, ...) [kg].
         """
@@ -339,7 +339,7 @@ class DenseStage:
         """Act after contact and walls; return the velocities (phases, ..., 3) [m/s].
 
         Args:
-            nodes, v, mass: See `after_stress`; `velocity_before` of the engine are the velocities
+            nodes, v, mass: See `after_stress`; `velocity_before` of the nodes are the velocities
                 before gravity and stress [m/s].
         """
         return v

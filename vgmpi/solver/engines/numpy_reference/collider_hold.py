@@ -33,7 +33,7 @@ class ColliderHold:
             mass: Masses, shape (phases, ...) [kg].
             volume: Mass times distance of known surfaces, else volumes, shape (phases, ...).
         """
-        contact, offset = engine.contact, engine.offset
+        contact, offset = engine.contact, engine.nodes.offset
         self.contact, self.p, self.mass = contact, p, mass[p]
         self.sources: list[_Source] = []
         if contact.plan.phases[p].surface:

@@ -319,6 +319,37 @@ def _push_back(u: np.ndarray, axis: int, inward: float, friction: float) -> None
     u *= np.where(hit, factor, 1.0)[..., None]
 
 
+class NodalSums:
+    """Sums of the particles at the nodes, by phase.
+
+    Attributes:
+        mass: Masses, shape (phases, ..., 1) [kg].
+        momentum: Momenta, shape (phases, ..., 3) [kg m/s].
+        forces: Impulses of the stress that is summed separately, shape (phases, ..., 3) [kg m/s].
+        counted: Volumes of the particles whose stress is summed so, shape (phases, ..., 1) [m3].
+        volume, offset: See `Contact.apply`, shapes (phases, ..., 1) and (phases, ..., 3).
+        shear: Normal velocity gradients times mass, shape (phases, ..., 3) [kg m/s].
+        velocity_before: Velocities before gravity and stress, shape (phases, ..., 3) [m/s].
+        dt: Length of the step [s].
+    """
+
+    velocity_before: np.ndarray
+
+    def __init__(self, phases: int, shape: tuple[int, ...], dt: float):
+        """Begin with zeros.
+
+        Args:
+            phases: Number of phases.
+            shape: Shape of the grid of nodes.
+            dt: Length of the step [s].
+        """
+        self.dt = dt
+        self.mass, self.volume, self.counted = (np.zeros((phases, *shape, 1)) for _ in range(3))
+        self.momentum, self.forces, self.offset, self.shear = (
+            np.zeros((phases, *shape, 3)) for _ in range(4)
+        )
+
+
 class CarriedFields:
     """Values that particles exchange through the grid and take back."""
 

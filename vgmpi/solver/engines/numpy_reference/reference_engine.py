@@ -43,7 +43,7 @@ from vgmpi.solver.engines.plan_tables import phase_sets
 from .advection import advect
 from .collider_hold import ColliderHold
 from .contact import Contact
-from .dense_grid import CarriedFields, Dense, Stencil, mean_velocities, stencil_of
+from .dense_grid import CarriedFields, Dense, NodalSums, Stencil, mean_velocities, stencil_of
 from .group_channels import (
     get_channel,
     kirchhoff_stress,
@@ -152,10 +152,7 @@ class Numpy(SurfaceNodes):
             return
         # In a step of no time stress gives no impulse, and the other sums are not read.
         n, shape = len(self.plan.phases), self.dense.shape
-        self.mass, self.volume, self.counted = (np.zeros((n, *shape, 1)) for _ in range(3))
-        self.momentum, self.forces, self.offset, self.shear = (
-            np.zeros((n, *shape, 3)) for _ in range(4)
-        )
+        self.nodes = NodalSums(n, shape, self.dt)
         self.carried.clear()
         self.begin_fields()
         if self.sums is not None:
@@ -167,11 +164,16 @@ class Numpy(SurfaceNodes):
         for p in range(n):
             record, fold = self.record, self.dense.fold
             if not self.dense.yields(p):
-                fold(self.momentum[p], self.mass[p], recorder=record(p, self.mirrors), phase=p)
-                fold(self.forces[p], None, recorder=record(p, 1.0), phase=p)
-            fold(None, self.counted[p], phase=p)
-            fold(self.shear[p], None, phase=p)
-            fold(self.offset[p], self.volume[p], kind="slip", phase=p)
+                fold(
+                    self.nodes.momentum[p],
+                    self.nodes.mass[p],
+                    recorder=record(p, self.mirrors),
+                    phase=p,
+                )
+                fold(self.nodes.forces[p], None, recorder=record(p, 1.0), phase=p)
+            fold(None, self.nodes.counted[p], phase=p)
+            fold(self.nodes.shear[p], None, phase=p)
+            fold(self.nodes.offset[p], self.nodes.volume[p], kind="slip", phase=p)
 
     def _contribute(self, group: ParticleGroup, stencil: Stencil, split: np.ndarray) -> None:
         plan, dense, p = group.plan, self.dense, group.plan.phase
@@ -194,22 +196,24 @@ class Numpy(SurfaceNodes):
         dense.sum_forces(into.momentum, into.stencil, np.where(separate, 0.0, tau))
         if self.separates_stress:
             dense.sum_forces(into.forces, into.stencil, np.where(separate, tau, 0.0))
-            dense.sum(self.counted[p], stencil, np.where(split, J * vol0[:, 0], 0.0)[:, None])
+            dense.sum(self.nodes.counted[p], stencil, np.where(split, J * vol0[:, 0], 0.0)[:, None])
         into.finish()
         if plan.surface:
             normal, distance, curve, certainty = resolved_surface(group, self.plan.dx)
             certainty = (m * certainty)[:, None]
-            dense.sum(self.offset[p], stencil, certainty * normal, certainty[:, None] * curve)
+            dense.sum(self.nodes.offset[p], stencil, certainty * normal, certainty[:, None] * curve)
             distance_moment = m[:, None] * distance[:, None]
-            dense.sum(self.volume[p], stencil, distance_moment, m[:, None, None] * normal[:, None])
+            dense.sum(
+                self.nodes.volume[p], stencil, distance_moment, m[:, None, None] * normal[:, None]
+            )
             shear = np.einsum("nab,nb->na", C.reshape(-1, 3, 3), normal)
-            dense.sum(self.shear[p], stencil, self.plan.dx * m[:, None] * shear)
+            dense.sum(self.nodes.shear[p], stencil, self.plan.dx * m[:, None] * shear)
         else:
             volume = plan.share * vol0 * (J[:, None] if plan.separates_stress else 1.0)
-            dense.sum(self.volume[p], stencil, volume)
+            dense.sum(self.nodes.volume[p], stencil, volume)
             # offset of the particle as seen from the node
             zeros = np.zeros((len(m), 3))
-            dense.sum(self.offset[p], stencil, zeros, -volume[:, :, None] * np.eye(3))
+            dense.sum(self.nodes.offset[p], stencil, zeros, -volume[:, :, None] * np.eye(3))
         self.add_to_fields(group, stencil, self.dt)
         self.carried.sum(group, stencil, J * vol0[:, 0])
 
@@ -218,50 +222,54 @@ class Numpy(SurfaceNodes):
         if border:
             return
         plan, dense, division = self.plan, self.dense, self._division()
-        mass, volume, counted = (a[..., 0] for a in (self.mass, self.volume, self.counted))
+        mass, volume, counted = (
+            a[..., 0] for a in (self.nodes.mass, self.nodes.volume, self.nodes.counted)
+        )
         floors = [NODE_MASS_FLOOR * phase.min_cell_mass for phase in plan.phases]
         min_mass = np.reshape(floors, (-1, 1, 1, 1))
         mass = np.where(mass > min_mass, mass, 0.0)
         some = mass[..., None] > 0
-        summed = np.where(some, self.momentum / np.where(some, mass[..., None], 1.0), 0.0)
+        summed = np.where(some, self.nodes.momentum / np.where(some, mass[..., None], 1.0), 0.0)
         if not self.dt:
             self.v = mean_velocities(summed, mass, phase_sets(plan))
             if division is not None:
                 division.place()
-                division.average(self.v, self.mass[..., 0])
+                division.average(self.v, self.nodes.mass[..., 0])
             for p in range(len(plan.phases)):
                 dense.mirror(self.v[p], p, self.record(p, self.mirrors))
             return
         v = np.where(some, summed + self.dt * self.gravity, 0.0)
         self._place_colliders()
-        self.contact.along_walls(self.offset)
+        self.contact.along_walls(self.nodes.offset)
         if plan.separates_stress:  # what no feature distributes acts on its phase alone
             by_itself = np.ones(len(v), bool)
             for feature in plan.features:
                 if feature.shared_stress is not None:
                     by_itself &= ~feature.shared_stress
-            own = np.where(some, self.forces / np.where(some, mass[..., None], 1.0), 0.0)
+            own = np.where(some, self.nodes.forces / np.where(some, mass[..., None], 1.0), 0.0)
             v[by_itself] += own[by_itself]
-            self.forces[by_itself] = 0.0
-        self.velocity_before = summed
+            self.nodes.forces[by_itself] = 0.0
+        self.nodes.velocity_before = summed
         for stage in self.stages:
-            stage.after_stress(self, v, mass)
+            stage.after_stress(self.nodes, v, mass)
         if division is not None:
-            mass = self.mass[..., 0].copy()
-            division.unite(v, mass, self.offset, self.volume)
+            mass = self.nodes.mass[..., 0].copy()
+            division.unite(v, mass, self.nodes.offset, self.nodes.volume)
             some = mass[..., None] > 0
         heavy = mass.copy()
         if self.driven is not None:
             prescribe(v, heavy, self.driven.motions, dense.points(), plan.dx)
-        slope = np.where(some, self.shear / np.where(some, mass[..., None], 1.0), 0.0)
-        self.contact_count = self.contact.apply(v, mass, heavy, self.offset, volume, slope, self.dt)
+        slope = np.where(some, self.nodes.shear / np.where(some, mass[..., None], 1.0), 0.0)
+        self.contact_count = self.contact.apply(
+            v, mass, heavy, self.nodes.offset, volume, slope, self.dt
+        )
         holds = [ColliderHold(self, p, v, mass, volume) for p in range(len(v))]
         for p, hold in enumerate(holds):
             dense.constrain(v[p], p, self.record(p, 1.0, mass[p]), hold)
         if division is not None:
             division.part(v)
         for stage in self.stages:
-            v = stage.after_walls(self, v, mass)
+            v = stage.after_walls(self.nodes, v, mass)
         self.v = v
         self.carried.average()
 
@@ -285,7 +293,7 @@ class Numpy(SurfaceNodes):
 
     def begin_coupling(self) -> NodeState:
         """Copy what couplings need to node blocks, and return these."""
-        self.copy_to_blocks(self.v, self.mass, self.offset, self.volume)
+        self.copy_to_blocks(self.v, self.nodes.mass, self.nodes.offset, self.nodes.volume)
         return self.node_state()
 
     def end_coupling(self) -> None:
@@ -321,7 +329,7 @@ class Numpy(SurfaceNodes):
             distance = distance_from_colliders(self.movers, self.dense, self.contact.collider)
             correction = self._dense_correction()
             correction.begin(
-                self.mass, self.groups, self.stencils, distance, self.contact.division
+                self.nodes.mass, self.groups, self.stencils, distance, self.contact.division
             )  # fmt: skip
         for g, (group, stencil) in enumerate(zip(self.groups, self.stencils, strict=True)):
             if len(group) and not group.plan.is_carried:
@@ -365,7 +373,7 @@ class Numpy(SurfaceNodes):
             L = with_divergence(L, cell_divergence(self.v[p], stencil))
         if plan.space:
             J = np.exp(get_channel(group, "theta")[:, 0])
-            L = density_corrected_gradient(dense, self.mass[p], stencil, plan.space, J, L)
+            L = density_corrected_gradient(dense, self.nodes.mass[p], stencil, plan.space, J, L)
         if plan.softens_spray:
             L = without_spray_divergence(L, self._fill_fraction(group, stencil))
         law, rows = law_in_doubles(group), tuple(L.reshape(-1, 9).T)
@@ -383,5 +391,5 @@ class Numpy(SurfaceNodes):
         for stage in self.stages:
             if (fraction := stage.fill_fraction(group, stencil)) is not None:
                 return fraction
-        mass = dense.complete_wall_mass(self.mass[p])
+        mass = dense.complete_wall_mass(self.nodes.mass[p])
         return dense.gather(mass, stencil)[:, 0] / (group.plan.density * dense.dx**3)

@@ -170,7 +170,7 @@ def sums_of(engine: Any, group: ParticleGroup, stencil: Stencil) -> ImpulseSums:
         stencil: Their stencil.
     """
     p, dense = group.plan.phase, engine.dense
-    fields = engine.momentum[p], engine.mass[p], engine.forces[p]
+    fields = engine.nodes.momentum[p], engine.nodes.mass[p], engine.nodes.forces[p]
     if not dense.yields(p):
         return ImpulseSums(stencil, *fields)
     kinds = wall_kinds_of(engine.walls, engine.plan.phases[p])
