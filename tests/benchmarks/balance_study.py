@@ -104,7 +104,7 @@ def follow(path: Path, overrides: list[str], ranks: list[int], seconds: float, s
             weights.append(0)
             say(f"{simulation.time:.4f} of {end:.4f} s, sort {sorts}")
         before = simulation.sorted_at
-        simulation.advance(min(simulation.bound(), plan.fixed_dt or np.inf))
+        simulation.advance(min(simulation.bound(), plan.time_step.fixed or np.inf))
         weights[-1] += 1
         if simulation.sorted_at != before:
             steps.append(simulation.sorted_at - before)

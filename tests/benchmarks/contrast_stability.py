@@ -136,7 +136,7 @@ class TwoBodyBox(Box):
     def _stiff(self) -> np.ndarray:
         """Modulus of waves [Pa] of each body."""
         plan = self.plan
-        return np.array([plan.stiff[plan.groups[g].phase] for g in plan.group_of])
+        return np.array([plan.contact.stiffness[plan.groups[g].phase] for g in plan.group_of])
 
     @property
     def _velocity(self) -> np.ndarray:

@@ -115,7 +115,7 @@ def proximity_share(tank: Simulation) -> float:
     plan = tank.plan
     shares = [
         max(group.collider, *(phase.share for phase in group.phases), 0.0)
-        for group in plan.surroundings
+        for group in plan.measures.proximity
     ]
     return float(np.average(shares, weights=plan.count))
 

@@ -104,7 +104,9 @@ def told_by_run(scene: Scene, plan: Plan, pace: Throughput) -> tuple[float, floa
     """Return steps and time [s] without a pilot run; the geometric middle where a range is told."""
     seconds = predicted_seconds(scene, plan, 1, pace)
     few, many = (
-        step_count(plan, plan.fixed_dt or time_step_bounds(scene, plan, stiffened)[0][0], 0.0)
+        step_count(
+            plan, plan.time_step.fixed or time_step_bounds(scene, plan, stiffened)[0][0], 0.0
+        )
         for stiffened in (False, True)
     )
     middle = math.sqrt(few * many)

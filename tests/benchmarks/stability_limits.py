@@ -128,7 +128,7 @@ class Column(Box):
         unit = 1.0 if self.case.name in COUPLED else self.case.cfl
         bodies, still = self.built, np.zeros_like(self.built.x)
         simulation = self.begin(still)
-        wave = self.plan.cfl * self.plan.dx * simulation.rate  # c: nothing moves yet
+        wave = self.plan.time_step.cfl * self.plan.dx * simulation.rate  # c: nothing moves yet
         speed, height = SPEED * wave, CELLS[2] * self.plan.dx
         # a weight whose sudden onset lets the column fall at `speed`
         pull = speed * wave / height

@@ -92,7 +92,7 @@ def current_plan(scene: Scene, simulation: Simulation, colliders: list) -> Plan:
     count = np.bincount(simulation.object_of(ids), minlength=len(plan.count))
     bodies = np.split(x, np.cumsum(count)[:-1])
     around = measure_proximity(scene, bodies, colliders)
-    return replace(plan, count=tuple(count.tolist()), surroundings=around)
+    return plan.with_particles(tuple(count.tolist()), around)
 
 
 def stage_seconds(simulation: Simulation) -> StageCost:

@@ -106,10 +106,10 @@ def test_defaults_and_the_bound_of_the_step(tmp_path):
     scene = vgmpi.load(tmp_path / "scene.toml", text=SCENE)
     assert scene.accuracy.transfer == "apic" and scene.accuracy.volume_correction == "none"
     plan = vgmpi.plan(scene)
-    assert 1 / plan.rate == pytest.approx(0.4 * 0.02 / math.sqrt(2 * 9.8 * 0.02))
+    assert 1 / plan.time_step.min_rate == pytest.approx(0.4 * 0.02 / math.sqrt(2 * 9.8 * 0.02))
     still = SCENE.replace("cell = 0.02", "cell = 0.02\ngravity = [0, 0, 0]")
     plan = vgmpi.plan(vgmpi.load(tmp_path / "scene.toml", text=still))
-    assert 1 / plan.rate == pytest.approx(0.1 / 49)
+    assert 1 / plan.time_step.min_rate == pytest.approx(0.1 / 49)
 
 
 @pytest.mark.parametrize(

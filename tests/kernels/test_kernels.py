@@ -170,7 +170,7 @@ def limits(simulation):
     speed = np.linalg.norm(group.get("v", at), axis=1)
     trace = np.abs(group.get("C", at)[:, [0, 4, 8]].sum(1))
     return {
-        "wave": plan.cfl * plan.dx / (c + speed).max(),
+        "wave": plan.time_step.cfl * plan.dx / (c + speed).max(),
         "speed": 0.3 * plan.dx / speed.max(),
         "volume": 0.1 / trace.max(),
     }

@@ -107,7 +107,7 @@ def names(folder, more="", transfer="apic"):
         ("", "apic", ["law fluid", "particle shifting"]),
         ("", "apic-corrected", ["law fluid", "apic-corrected transfer", "particle shifting"]),
         ("", "aflip", ["law fluid", "aflip transfer", "particle shifting"]),
-        (DYE, "apic", ["law fluid", "particle shifting", "colors that travel"]),
+        (DYE, "apic", ["law fluid", "colors that travel", "particle shifting"]),
         (
             BALL.replace("HEIGHT", "0.19"),
             "apic",
@@ -180,10 +180,10 @@ def test_surroundings_are_those_of_the_solvers_tables(tmp_path):
         asked = tables.contributes["offsets"][tables.group == g]
         share = group.count[asked].sum() / group.count.sum()
         (k,) = (k for k, of in enumerate(plan.group_of) if of == g)
-        (near,), collider = plan.surroundings[k].phases, plan.surroundings[k].collider
+        (near,), collider = plan.measures.proximity[k].phases, plan.measures.proximity[k].collider
         phase = near.share
         print(f"{group.plan.name}: {share:.3f} asked, {phase:.3f} and {collider:.3f} near")
-        assert plan.surroundings[k].blocks == len(group.count)
+        assert plan.measures.proximity[k].blocks == len(group.count)
         assert max(phase, collider) <= share + 1e-12 and share <= phase + collider + 1e-12
         assert 0.1 < share < 0.95
 
@@ -197,10 +197,10 @@ def test_what_both_reach_are_the_solvers_blocks_of_nodes(tmp_path):
     tables = simulation.exchange.tables
     shared = int((np.diff(tables.first) > 1).sum())
     for k in range(2):
-        (near,) = plan.surroundings[k].phases
+        (near,) = plan.measures.proximity[k].phases
         assert near.nodes == shared > 10
         code = simulation.groups[plan.group_of[k]].block
-        assert 0 < near.blocks <= len(code) == plan.surroundings[k].blocks
+        assert 0 < near.blocks <= len(code) == plan.measures.proximity[k].blocks
 
 
 def test_what_meets_in_thin_blocks_costs_more(tmp_path):
@@ -225,7 +225,7 @@ def test_a_block_that_is_not_full_costs_more(tmp_path):
     (found,) = [
         f for f in feature_costs.group_features(scene, plan, 0, PACE) if "blocks of" in f.name
     ]
-    per = plan.particles / plan.surroundings[0].blocks
+    per = plan.particles / plan.measures.proximity[0].blocks
     assert found.ns == pytest.approx(20.0 * COSTS.block.total * (1 / per - 1 / 300))
 
 

@@ -205,7 +205,7 @@ def test_the_shortest_waves_of_fluids_that_slip_are_stable(tmp_path, ratio, slip
     heeded = plan.groups[0].wave.factor > 1.0
     assert heeded or ratio == 3.0 or slip_relaxation_time == 1e-6
     spared = 1.0 if heeded else WAVE_MARGIN**0.5
-    way = plan.cfl * plan.dx
+    way = plan.time_step.cfl * plan.dx
     dt = way / np.sqrt(max(own[0] * plan.groups[0].wave.factor, own[1]))
     grown = [
         max(

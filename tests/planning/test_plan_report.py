@@ -1,6 +1,5 @@
 """What --plan says of steps and precision, and what a run says of the time left."""
 
-import dataclasses
 import logging
 import re
 from types import SimpleNamespace
@@ -198,11 +197,11 @@ def test_what_ranks_cost_beside_their_share(tmp_path):
     scene = vgmpi.load(write(tmp_path, PLATE + POOL))
     plan = plan_for(scene, prepare(scene, SerialCommunicator(), None))
     assert rank_overhead(plan, 1) == 1.0
-    blocks = sum(around.blocks for around in plan.surroundings)
-    many = [around._replace(blocks=8 * around.blocks) for around in plan.surroundings]
+    blocks = sum(around.blocks for around in plan.measures.proximity)
+    many = [around._replace(blocks=8 * around.blocks) for around in plan.measures.proximity]
     assert blocks > 0
     small = rank_overhead(plan, 2) - 1.0
-    large = rank_overhead(dataclasses.replace(plan, surroundings=tuple(many)), 2) - 1.0
+    large = rank_overhead(plan.with_particles(plan.count, tuple(many)), 2) - 1.0
     assert large == pytest.approx(small / 2)
     assert rank_overhead(plan, 16) - 1.0 == pytest.approx(small * 2 * (15 / 16) / (1 / 2))
 

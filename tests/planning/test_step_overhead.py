@@ -1,7 +1,5 @@
 """What the cost of a step grows with: phases, colliders, bodies, inlets, and blocks."""
 
-import dataclasses
-
 import pytest
 
 import vgmpi
@@ -56,8 +54,8 @@ def test_a_step_takes_more_with_everything_in_the_scene(tmp_path, more, seconds)
 
 def test_the_same_particles_in_more_blocks_cost_more(tmp_path):
     scene, plan = planned(tmp_path, FALLS)
-    around = tuple(proximity.scaled(4.0) for proximity in plan.surroundings)
-    spread = dataclasses.replace(plan, surroundings=around)
-    assert around[0].blocks == 4 * plan.surroundings[0].blocks
+    around = tuple(proximity.scaled(4.0) for proximity in plan.measures.proximity)
+    spread = plan.with_particles(plan.count, around)
+    assert around[0].blocks == 4 * plan.measures.proximity[0].blocks
     assert step_ns(scene, spread, PACE) > 1.5 * step_ns(scene, plan, PACE)
     assert predicted_seconds(scene, spread, 1, PACE) > predicted_seconds(scene, plan, 1, PACE)

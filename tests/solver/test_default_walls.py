@@ -70,7 +70,7 @@ def plan_of(folder, text):
 def test_the_kind_is_that_of_the_material(tmp_path):
     """A kind that the scene names holds for all."""
     _, plan = plan_of(tmp_path, text_of(body("grains") + POOL, '{ bottom = "slip" }'))
-    kinds = [[kind for kind, _ in walls] for walls in (plan.walls, plan.walls_of_solids)]
+    kinds = [[kind for kind, _ in walls] for walls in (plan.walls.liquids, plan.walls.solids)]
     assert kinds == [["slip"] * 6, ["separate"] * 4 + ["slip", "separate"]]
 
 

@@ -57,9 +57,9 @@ def test_particles_weigh_what_the_bulk_does(simulation):
 def test_fluids_slip_and_others_rub_with_the_larger_coefficient(simulation):
     plan = simulation.plan
     number = {phase.name: k for k, phase in enumerate(plan.phases)}
-    assert plan.friction[number["sand"]][number["snow"]] == 0.9
-    assert plan.friction[number["snow"]][number["a tin"]] == 0.3
-    assert not any(plan.friction[number["fluid"]])
+    assert plan.contact.friction[number["sand"]][number["snow"]] == 0.9
+    assert plan.contact.friction[number["snow"]][number["a tin"]] == 0.3
+    assert not any(plan.contact.friction[number["fluid"]])
 
 
 def test_frames_say_f_of_what_carries_it(simulation):

@@ -269,7 +269,7 @@ def test_what_is_not_used_bounds_no_step(tmp_path):
     """A fixed one is not refused for fluids of which one is not there; they would bear 7 us."""
     fixed = PLAIN.replace("end = 1", "end = 1\ndt = 1e-4")
     unused = UNUSED.replace("diffusivity = 1e-4", "diffusivity = 10")
-    assert begin(tmp_path, fixed + unused)[0].plan.fixed_dt == 1e-4
+    assert begin(tmp_path, fixed + unused)[0].plan.time_step.fixed == 1e-4
 
 
 WITH_SAND = PLAIN.replace('"fluid"\ntait_coefficient = 5e4', '"sand"')

@@ -173,7 +173,7 @@ def predicted_run_seconds(scene: Scene, ranks: int, stop_steps: int = 0) -> floa
     pace = ASSUMED_THROUGHPUT[scene.accuracy.precision]
     seconds = predicted_seconds(scene, plan, ranks, pace)
     if stop_steps:
-        dt = plan.fixed_dt or time_step_bounds(scene, plan)[0][0]
+        dt = plan.time_step.fixed or time_step_bounds(scene, plan)[0][0]
         seconds *= min(1.0, stop_steps * dt / scene.time.end)
     return seconds
 

@@ -102,7 +102,7 @@ def bounds_of(
         v: Velocities, shape (n, 3) [m/s].
         C: Velocity gradients, shape (n, 9) [1/s].
     """
-    law, dx, cfl = group.law, plan.dx, plan.cfl
+    law, dx, cfl = group.law, plan.dx, plan.time_step.cfl
     wave2 = group.bound(max(law_function(law, "wave_speed2")(law, state) for state in states))
     tau = [np.abs(law_function(law, "stress")(law, state, (0.0,) * 9)).sum() for state in states]
     speed, wave = float(np.sqrt((v**2).sum(1)).max()), float(np.sqrt(wave2))

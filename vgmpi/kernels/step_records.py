@@ -70,7 +70,7 @@ class ParticleMaxima(NamedTuple):
             dt: Length of the step [s].
             load_speed: Speed added by loads [m/s].
         """
-        waves = (self.rate * plan.cfl * plan.dx) ** 2
+        waves = (self.rate * plan.time_step.cfl * plan.dx) ** 2
         stress = 2.0 * self.stress + 3.0 * waves * self.turn * self.dt
         speed = self.speed + load_speed + 2.6 * plan.dx * self.turn + 4.0 * dt / plan.dx * stress
         speed *= 1.0 + 4.0 * plan.correction_interval  # exceeds what transfers can have lost

@@ -36,6 +36,15 @@ class WaveTerms(NamedTuple):
     added: float = 0.0  # [m2/s2] squared wave speed that such sand adds
 
 
+class VolumeTerms(NamedTuple):
+    """Terms of the volume and the pressure of a group of liquid particles."""
+
+    inverse_cell_mass: float = 0.0  # [1/kg] of a full cell with density correction, else 0
+    by_cells: bool = False  # its volume follows the mean divergence of cells
+    separate_pressure: bool = False  # its pressure is not that of its volume: a feature applies it
+    softens_spray: bool = False  # its volume follows a part of the divergence where it fills little
+
+
 class GroupPlan(NamedTuple):
     """Plan of a group of particles: one phase, one material."""
 
@@ -55,10 +64,7 @@ class GroupPlan(NamedTuple):
     surface: bool = False  # its particles carry the surface descriptor of the body at rest
     extra_channels: tuple[tuple[str, str, int], ...] = ()  # name, unit and width, of features
     driven: bool = False  # a feature prescribes the velocity of its phase
-    space: float = 0.0  # [1/kg] inverse mass of a full cell with density correction, else 0
-    cell_dilatation: bool = False  # its volume follows the mean divergence of cells
-    separate_pressure: bool = False  # its pressure is not that of its volume: a feature applies it
-    softens_spray: bool = False  # its volume follows a part of the divergence where it fills little
+    volume: VolumeTerms = VolumeTerms()  # how a liquid's volume follows the flow
     carrier: str = ""  # feature that moves its particles outside the grid, see `ActiveFeature`
 
     @property
@@ -297,7 +303,7 @@ def make_group(phase: int, phase_label: str, name: str, material, real: np.dtype
         state=tuple((name, tuple(values)) for name, values in material.carries.items()),
         cost=material.cost,
         share=material.solid_share,
-        softens_spray=material.is_liquid(typed),
+        volume=VolumeTerms(softens_spray=material.is_liquid(typed)),
     )
 
 
@@ -316,7 +322,10 @@ def with_corrections(
         groups = tuple(group._replace(cost=group.cost + price) for group in groups)
     if scene.accuracy.dilatation == "cells":
         groups = tuple(
-            group._replace(cell_dilatation=True, cost=group.cost + COSTS.cell_dilatation.total)
+            group._replace(
+                volume=group.volume._replace(by_cells=True),
+                cost=group.cost + COSTS.cell_dilatation.total,
+            )
             if group.is_liquid and not group.separates_stress
             else group
             for group in groups
@@ -350,8 +359,8 @@ def _with_density_correction(scene: Scene, group: GroupPlan, phase: PhasePlan) -
             " they are; give each a phase of its own, or a coupling of kind 'mixing'"
         )
         raise scene.error([(("accuracy", "volume_correction"), message)])
-    space = 1.0 / (group.density * scene.domain.cell**3)
-    return group._replace(space=space, cost=group.cost + COSTS.density_correction.total)
+    volume = group.volume._replace(inverse_cell_mass=1.0 / (group.density * scene.domain.cell**3))
+    return group._replace(volume=volume, cost=group.cost + COSTS.density_correction.total)
 
 
 def idle_phase(scene: Scene, real: np.dtype) -> tuple[tuple[PhasePlan, ...], tuple[GroupPlan, ...]]:

@@ -7,7 +7,7 @@ does not exist.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -55,6 +55,66 @@ class ContactWall(NamedTuple):
     friction: float  # [-] Coulomb coefficient
 
 
+class GravityPlan(NamedTuple):
+    """Gravity as it is and as it changes."""
+
+    vector: tuple[float, float, float]  # [m/s2]
+    ramp_time: float = 0.0  # [s] duration of its growth
+    keys: Keys = ()  # (time, gravity) keyframes from the start on
+
+    @property
+    def changes(self) -> bool:
+        """True if it is not the same all the time."""
+        return bool(self.ramp_time or self.keys)
+
+    def mean_between(self, t0: float, t1: float) -> np.ndarray:
+        """Return the mean gravity between two times [s], shape (3,) [m/s2]."""
+        if self.keys:
+            return mean_gravity(self.keys, t0, t1)
+        return np.array(self.vector) * mean_ramp_factor(t0, t1, self.ramp_time)
+
+    def vector_at(self, time: float) -> np.ndarray:
+        """Return the gravity at a time [s], shape (3,) [m/s2], with a ramp at its full strength."""
+        return gravity_at(self.keys, time) if self.keys else np.array(self.vector)
+
+
+class WallPlan(NamedTuple):
+    """Walls of the domain, (kind, friction): west, east, south, north, floor, roof."""
+
+    liquids: tuple[tuple[str, float], ...]
+    solids: tuple[tuple[str, float], ...]  # for everything but liquids
+    holding: tuple[str, ...] = ()  # slip walls that also hold back the bodies on them
+
+
+class ContactPlan(NamedTuple):
+    """Contact of phases with each other and with colliders."""
+
+    # friction: (phases + 1, phases), the last row is for colliders; each collider has a row if one
+    # has a coefficient of its own
+    friction: tuple[tuple[float, ...], ...]
+    stiffness: tuple[float, ...]  # [Pa] P-wave modulus of each phase's stiffest law at rest
+    has_pairs: bool  # there are several phases, which may touch
+
+
+class TimeStepPlan(NamedTuple):
+    """Rules that bound a time step."""
+
+    cfl: float  # [-] CFL number
+    fixed: float  # [s] length of all steps, 0 if cfl bounds them
+    min_rate: float  # [1/s] lower bound of 1 / dt from constant terms (viscosity, diffusion)
+    motion_steps: tuple[float, ...] = ()  # least steps in equal intervals, by prescribed motions
+
+
+class ObjectMeasures(NamedTuple):
+    """Measures of the prepared objects and particle sources; empty if unknown."""
+
+    thickness: tuple[float, ...] = ()  # [m] of solid bodies, else NaN; empty without fluids
+    proximity: tuple[Proximity, ...] = ()
+    volumes: tuple[float, ...] = ()  # [m3]
+    weights: tuple[float, ...] = ()  # [Pa] on the bottom of each body of liquid, see liquid_weight
+    tensions: tuple[float, ...] = ()  # [Pa] of each body of liquid in a closed box
+
+
 @dataclass(frozen=True)
 class Plan:
     """Everything that the solver needs to know of a scene, in SI units."""
@@ -62,44 +122,31 @@ class Plan:
     cells: tuple[int, int, int]
     dx: float  # [m] cell size
     real: np.dtype  # floating-point type of the particles
-    gravity: tuple[float, float, float]  # [m/s2]
-    # (kind, friction) for liquids: west, east, south, north, floor, roof; for everything else
-    walls: tuple[tuple[str, float], ...]
-    walls_of_solids: tuple[tuple[str, float], ...]
+    gravity: GravityPlan
+    walls: WallPlan
     phases: tuple[PhasePlan, ...]
     groups: tuple[GroupPlan, ...]
     group_of: tuple[int, ...]  # group of each object, -1 for scenery; then of each source
     first_id: tuple[int, ...]  # of each object and particle source
     count: tuple[int, ...]  # particles of each object; of each source all that may enter
-    # friction: (phases + 1, phases), the last row is for colliders; each collider has a row if one
-    # has a coefficient of its own
-    friction: tuple[tuple[float, ...], ...]
-    stiff: tuple[float, ...]  # [Pa] P-wave modulus of each phase's stiffest law at rest
-    contact: bool  # there are several phases, which may touch
+    contact: ContactPlan
     collider: bool
     times: np.ndarray  # (frames,) [s]
-    cfl: float  # [-] CFL number
-    fixed_dt: float  # [s], 0 if chosen by cfl
-    rate: float  # [1/s] lower bound of 1 / dt from constant terms (viscosity, diffusion)
+    time_step: TimeStepPlan
     affine: bool = True  # particles carry the velocity gradient (APIC)
     splines: bool = False  # strains and forces use gradients of the B-splines
     correction_interval: int = 0  # [steps] interval of the transfer correction; 0: never
-    gravity_ramp_time: float = 0.0  # [s] duration of the growth of gravity
-    gravity_keys: Keys = ()  # (time, gravity) keyframes from the start on
-    # thickness: [m] of every solid body, NaN for other objects; empty without fluids or if unknown
-    thickness: tuple[float, ...] = ()
-    surroundings: tuple[Proximity, ...] = ()  # of each object and source, if known
-    volumes: tuple[float, ...] = ()  # [m3] of each object and source, if known
-    weights: tuple[float, ...] = ()  # [Pa] on the bottom of each body of liquid, see liquid_weight
-    tensions: tuple[float, ...] = ()  # [Pa] of each body of liquid in a closed box
-    motion_steps: tuple[float, ...] = ()  # least steps in equal intervals, by prescribed motions
+    measures: ObjectMeasures = ObjectMeasures()
     features: tuple[FeaturePlan, ...] = ()  # optional features, in the order in which they plan
-    holding_walls: tuple[str, ...] = ()  # slip walls that also hold back the bodies on them
     regions: tuple[RegionPlan, ...] = ()  # parts of bodies of another material, if known
 
     def feature(self, kind: type[PlannedFeature]) -> PlannedFeature | None:
         """Return the plan of an optional feature, or None if the scene does not have it."""
         return next((each for each in self.features if isinstance(each, kind)), None)
+
+    def with_particles(self, count: tuple[int, ...], proximity: tuple[Proximity, ...]) -> "Plan":
+        """Return this plan with other particles of the objects and sources, somewhere else."""
+        return replace(self, count=count, measures=self.measures._replace(proximity=proximity))
 
     @property
     def numbers_colliders(self) -> bool:
@@ -143,7 +190,7 @@ class Plan:
             return ()
         return tuple(
             ContactWall(k // 2, k % 2, k % 2 * self.cells[k // 2], friction)
-            for k, (kind, friction) in enumerate(self.walls_of_solids)
+            for k, (kind, friction) in enumerate(self.walls.solids)
             if kind == "separate"
         )
 
@@ -153,8 +200,10 @@ class Plan:
         frictions = [plane.friction for plane in self.planes]
         for p, phase in enumerate(self.phases):
             if phase.surface:
-                frictions += [mu for q, mu in enumerate(self.friction[p]) if q != p]
-                frictions += [row[p] for row in self.friction[len(self.phases) :]] * self.collider
+                frictions += [mu for q, mu in enumerate(self.contact.friction[p]) if q != p]
+                frictions += [
+                    row[p] for row in self.contact.friction[len(self.phases) :]
+                ] * self.collider
         return any(mu > 0 for mu in frictions)
 
     @property
@@ -165,16 +214,6 @@ class Plan:
     def ahead(self, now: float) -> np.ndarray:
         """Return the times [s] of the frames that a run at time `now` [s] has yet to write."""
         return self.times[self.times > now + 1e-6 * (self.times[1] - self.times[0])]
-
-    def gravity_between(self, t0: float, t1: float) -> np.ndarray:
-        """Return the mean gravity between two times [s], shape (3,) [m/s2]."""
-        if self.gravity_keys:
-            return mean_gravity(self.gravity_keys, t0, t1)
-        return np.array(self.gravity) * mean_ramp_factor(t0, t1, self.gravity_ramp_time)
-
-    def gravity_at(self, time: float) -> np.ndarray:
-        """Return the gravity at a time [s], shape (3,) [m/s2], with a ramp at its full strength."""
-        return gravity_at(self.gravity_keys, time) if self.gravity_keys else np.array(self.gravity)
 
     def bytes_per_particle(self, group: int) -> int:
         """Return the memory of one particle [bytes]: position, channels, id."""
@@ -203,7 +242,7 @@ class Plan:
         total += sum(feature.reserved_bytes(self) for feature in self.features)
         width, nodes = self.real.itemsize, 64 * 4
         sum_bytes = 8 * (1 if width == 4 else 2) + width  # a reproducible sum, and its value
-        touches = self.contact or self.collider or bool(self.planes)
+        touches = self.contact.has_pairs or self.collider or bool(self.planes)
         layers = (
             1
             + touches
@@ -247,20 +286,26 @@ def make_plan(
     groups = draft.groups
     phases = with_soft_bodies(scene, draft.phases, groups, volume, center)
     plan = Plan(
-        cells=scene.domain.cells, dx=scene.domain.cell, real=real, gravity=scene.domain.gravity,
-        walls=tuple(scene.domain.walls), walls_of_solids=tuple(scene.walls_of_solids),
+        cells=scene.domain.cells, dx=scene.domain.cell, real=real,
+        gravity=GravityPlan(
+            scene.domain.gravity, scene.domain.gravity_ramp_time, gravity_keys(scene.domain)
+        ),
+        walls=WallPlan(tuple(scene.domain.walls), tuple(scene.walls_of_solids)),
         phases=phases, groups=groups, group_of=draft.group_of, count=tuple(int(n) for n in count),
         first_id=tuple(int(n) for n in np.concatenate([[0], np.cumsum(count)[:-1]])),
-        friction=_friction_table(scene, groups, len(phases)),
+        contact=ContactPlan(
+            _friction_table(scene, groups, len(phases)), _wave_moduli(groups, len(phases)),
+            len(phases) > 1,
+        ),
         collider=collider,
-        stiff=_wave_moduli(groups, len(phases)), contact=len(phases) > 1,
         times=np.linspace(0.0, scene.time.end, scene.time.frames),
-        cfl=scene.courant_number, fixed_dt=scene.time.dt, rate=_rate(scene, groups, draft.features),
+        time_step=TimeStepPlan(
+            scene.courant_number, scene.time.dt, _rate(scene, groups, draft.features)
+        ),
         affine=scene.accuracy.affine,
         correction_interval=interval,
         splines=scene.accuracy.gradient == "bspline",
-        gravity_ramp_time=scene.domain.gravity_ramp_time,
-        gravity_keys=gravity_keys(scene.domain), features=draft.features,
+        features=draft.features,
     )  # fmt: skip
     _check_transfer(scene, plan)
     _check_steps(scene, plan)
@@ -361,7 +406,7 @@ def time_step_bounds(scene: Scene, plan: Plan, stiffened: bool = False) -> list[
             wave = math.sqrt(group.bound(law_function(law, "wave_speed2")(law, reference)))
             wave *= math.sqrt(material.stiffening) if stiffened else 1.0
             if wave + speeds[k] > 0:  # waves do not bound the step with an implicit pressure
-                bounds.append((plan.cfl * dx / (wave + speeds[k]), f"material {name!r}"))
+                bounds.append((plan.time_step.cfl * dx / (wave + speeds[k]), f"material {name!r}"))
             if material.kinematic_viscosity > 0:
                 bound = dx**2 / (6.0 * material.kinematic_viscosity)
                 bounds.append((bound, f"the viscosity of material {name!r}"))
@@ -385,12 +430,11 @@ def _check_steps(scene: Scene, plan: Plan) -> None:
             )
             raise scene.error([(("material", group.material), message)])
     bound, cause = time_step_bounds(scene, plan)[0]
-    if plan.fixed_dt > bound:
-        message = (
-            f"{plan.fixed_dt:.4g} s is above the stable step of {cause}: at most {bound:.4g} s"
-        )
+    fixed = plan.time_step.fixed
+    if fixed > bound:
+        message = f"{fixed:.4g} s is above the stable step of {cause}: at most {bound:.4g} s"
         raise scene.error([(("time", "dt"), message)])
-    dt, cause = (plan.fixed_dt, "time.dt") if plan.fixed_dt else (bound, cause)
+    dt, cause = (fixed, "time.dt") if fixed else (bound, cause)
     if not dt * MAX_STEPS >= plan.times[-1]:
         message = f"{plan.times[-1]:.4g} s are too many steps of {dt:.4g} s, set by {cause}"
         raise scene.error([(("time", "end"), f"{message}; at most {MAX_STEPS:.2g} are possible")])

@@ -72,7 +72,7 @@ def _way_out(simulation: Any, particle: int) -> str:
     if not len(walls):
         return ""
     wall = int(walls[0, 0])
-    kind, _ = plan.walls_of_solids[wall]
+    kind, _ = plan.walls.solids[wall]
     if kind == "open":
         return ""
     return f"{FAILURE_MESSAGES[g2p.OUT_OF_DOMAIN]}: it sank through the {WALLS[wall]} wall"

@@ -14,7 +14,7 @@ from vgmpi import gaussians, preprocess
 from vgmpi.io import checkpoint, file_layout, hdf5_writer, initial_state
 from vgmpi.io.run_reader import RunError, opened, read_gaussians
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.planning.plan import Plan, make_plan
+from vgmpi.planning.plan import ObjectMeasures, Plan, make_plan
 from vgmpi.planning.region_groups import region_plans
 from vgmpi.planning.step_costs import Proximity
 from vgmpi.preprocess.initial_conditions import closed_box_tensions, liquid_weights
@@ -36,12 +36,12 @@ class ParticleSummary:
     volume: list[float]
     center: list[list[float]]  # [m] center of mass
     colliders: list
-    thickness: tuple[float, ...] = ()  # [m] see plan.Plan
+    thickness: tuple[float, ...] = ()  # [m] see ObjectMeasures
     surroundings: tuple[Proximity, ...] = ()
-    weights: tuple[float, ...] = ()  # [Pa] see plan.Plan
-    tensions: tuple[float, ...] = ()  # [Pa] see plan.Plan
+    weights: tuple[float, ...] = ()  # [Pa] see ObjectMeasures
+    tensions: tuple[float, ...] = ()  # [Pa] see ObjectMeasures
     features: dict[str, Any] = field(default_factory=dict)  # prepared data of features, by name
-    holding_walls: tuple[str, ...] = ()  # see plan.Plan
+    holding_walls: tuple[str, ...] = ()  # see WallPlan
     # on rank 0: datasets to be written to gaussians.h5, None if the file holds them
     rows: dict | None = None
     scenery: dict | None = None
@@ -272,10 +272,14 @@ def plan_for(scene: Scene, summary: ParticleSummary) -> Plan:
     courses = [course for feature in plan.features for course in feature.courses()]
     steps = motion_steps(scene, summary.colliders, courses)
     return replace(
-        plan, thickness=summary.thickness, surroundings=summary.surroundings,
-        volumes=tuple(summary.volume), weights=summary.weights, tensions=summary.tensions,
-        motion_steps=tuple(steps.tolist()),
-        regions=region_plans(plan, summary.objects), holding_walls=summary.holding_walls,
+        plan,
+        measures=ObjectMeasures(
+            summary.thickness, summary.surroundings, tuple(summary.volume), summary.weights,
+            summary.tensions,
+        ),
+        time_step=plan.time_step._replace(motion_steps=tuple(steps.tolist())),
+        walls=plan.walls._replace(holding=summary.holding_walls),
+        regions=region_plans(plan, summary.objects),
     )  # fmt: skip
 
 

@@ -157,20 +157,20 @@ class Runner:
         """Return the next time step [s], and the time [s] that it must meet exactly or None."""
         simulation = self.simulation
         bound = simulation.bound()
-        if self.plan.fixed_dt:
+        if self.plan.time_step.fixed:
             self._warn_if_too_long(bound)
-            bound = self.plan.fixed_dt
+            bound = self.plan.time_step.fixed
         target = simulation.next_event_time(float(self.times[self.frame]))
         dt, lands = next_step(simulation.time, target, bound)
         return dt, target if lands else None
 
     def _warn_if_too_long(self, bound: float) -> None:
         """Warn once if a fixed step that was stable at the start is stable no longer."""
-        if self.plan.fixed_dt > bound and not self.warned:
+        if self.plan.time_step.fixed > bound and not self.warned:
             self.warned = True
             log.warning(
                 "step %d: time.dt = %.4g s is above the stable step of the present state, %.4g s",
-                self.simulation.step, self.plan.fixed_dt, bound,
+                self.simulation.step, self.plan.time_step.fixed, bound,
             )  # fmt: skip
 
     def ask_to_stop(self, frame: bool = False) -> None:

@@ -48,7 +48,7 @@ class Simulation:
         self.plan, self.ranks, self.pace = plan, ranks, RankPace(ranks)
         self.lattice = BlockLattice(plan.cells, plan.dx)
         # true if a collider has its own friction, is free, or its reaction is requested
-        per_collider = len(plan.friction) > len(plan.phases) + 1 or plan.numbers_colliders
+        per_collider = len(plan.contact.friction) > len(plan.phases) + 1 or plan.numbers_colliders
         moved = (feature.moved_bodies(list(colliders)) for feature in plan.features)
         free = next((bodies for bodies in moved if bodies is not None), None)
         placed = place_colliders(list(colliders), self.lattice, plan.real, per_collider, free)
@@ -68,7 +68,7 @@ class Simulation:
         )  # fmt: skip
         start_features(context, self.features)
         self.engine.features = self.features
-        self.gravity = np.array(plan.gravity)
+        self.gravity = np.array(plan.gravity.vector)
         self.exchange = GridExchange(
             topology_requirements(plan), self.lattice, ranks, self.collider_nodes,
             self.engine.words,
@@ -121,7 +121,7 @@ class Simulation:
         for feature in self.features.values():
             bounds = feature.begin_run(bounds)
         self.rate = bounds.rate
-        self.particle_maxima = bounds.maxima(1.0 / (self.rate or self.plan.rate))
+        self.particle_maxima = bounds.maxima(1.0 / (self.rate or self.plan.time_step.min_rate))
         self.sort()
         self.moved = 0  # finding the first owners is no migration
 
@@ -176,7 +176,7 @@ class Simulation:
 
     def bound(self) -> float:
         """Return the largest stable time step [s], including impulsive loads within the step."""
-        rate = max(self.rate, self.plan.rate)
+        rate = max(self.rate, self.plan.time_step.min_rate)
         for feature in self.features.values():
             rate = feature.limit_rate(self.time, rate)
         return 1.0 / rate
@@ -235,8 +235,8 @@ class Simulation:
 
     def _gravity_in(self, span: StepSpan) -> np.ndarray:
         """Return the mean gravity in a step, shape (3,) [m/s2]."""
-        if self.plan.gravity_ramp_time or self.plan.gravity_keys:
-            return self.plan.gravity_between(span.start, span.end)
+        if self.plan.gravity.changes:
+            return self.plan.gravity.mean_between(span.start, span.end)
         return self.gravity
 
     def _correct_if_due(self, dt: float) -> list[AccumulatorOverflow]:

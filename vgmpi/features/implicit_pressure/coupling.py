@@ -66,7 +66,7 @@ class ImplicitPressure(ActiveFeature):
         """Take the constants of a plan, which has one liquid of one density."""
         plan = self.plan = context.plan
         self.lattice, self.ranks, self.threads = context.lattice, context.ranks, context.threads
-        group = next(group for group in plan.groups if group.separate_pressure)
+        group = next(group for group in plan.groups if group.volume.separate_pressure)
         self.mass_of_cell = group.density * plan.dx**3
         # relative pressure of a particle per potential of a cell and inverse time step
         self.stiffness = float(group.law.k) / (group.density * plan.dx**2)  # type: ignore[attr-defined]

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from vgmpi.planning.feature_plan import FeaturePlan, PlanDraft
-from vgmpi.planning.phases_and_groups import GroupPlan, PhasePlan, WaveTerms
+from vgmpi.planning.phases_and_groups import GroupPlan, PhasePlan, VolumeTerms, WaveTerms
 from vgmpi.planning.plan import Plan, time_step_bounds
 from vgmpi.planning.step_costs import StageCost, StepCosts
 from vgmpi.scene.scene import Scene
@@ -29,7 +29,7 @@ class ImplicitPressurePlan(FeaturePlan):
         Args:
             group, costs: See `FeaturePlan.particle_cost`.
         """
-        return COST if group.separate_pressure else None
+        return COST if group.volume.separate_pressure else None
 
     def field_requests(self, plan: Plan) -> tuple:
         """Return the request for the pressure of the particles at the nodes."""
@@ -39,7 +39,7 @@ class ImplicitPressurePlan(FeaturePlan):
 
     def gathers(self, group: GroupPlan) -> tuple[str, ...]:
         """Return what the particles of a group gather: its displacement and pressure."""
-        return self.gathered if group.separate_pressure else ()
+        return self.gathered if group.volume.separate_pressure else ()
 
     def gather_kind(self, group: GroupPlan, nodes: dict, dt: float, patch: int) -> Any:
         """Return the kind with which the particles of a group gather them.
@@ -83,8 +83,7 @@ def plan_implicit_pressure(draft: PlanDraft) -> tuple[ImplicitPressurePlan, Plan
         raise draft.scene.error(wrong)
     groups = tuple(
         group._replace(
-            separate_pressure=True,
-            softens_spray=False,
+            volume=VolumeTerms(separate_pressure=True),
             wave=WaveTerms(factor=0.0),
             cost=group.cost + COST.total,
         )
@@ -104,7 +103,7 @@ def recommend_implicit_pressure(scene: Scene, plan: Plan) -> list[str]:
     viscous = [step for step, cause in steps if "viscosity" in cause]
     shortest = min(step for step, _ in steps)
     chosen = {"pressure", "transfer", "volume_correction", "dilatation"}
-    if plan.fixed_dt or min(viscous, default=math.inf) <= MIN_VISCOUS_RATIO * shortest:
+    if plan.time_step.fixed or min(viscous, default=math.inf) <= MIN_VISCOUS_RATIO * shortest:
         return []
     if chosen & scene.accuracy.model_fields_set or obstacles(scene, plan.groups, plan.phases):
         return []

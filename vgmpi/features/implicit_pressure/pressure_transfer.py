@@ -58,7 +58,7 @@ def request_particle_pressure(plan: Plan) -> FieldRequest:
     return FieldRequest(
         PARTICLE_PRESSURE,
         lambda _: np.full((len(plan.phases), 4), scale),
-        lambda group: kind if group.separate_pressure else None,
+        lambda group: kind if group.volume.separate_pressure else None,
         is_for_couplings=True,
     )
 

@@ -132,7 +132,7 @@ class RigidBodies(ActiveFeature):
         self.joints = jointed_bodies(own.joints, movers)
         self.number_of = np.full(len(movers.colliders), -1)
         self.number_of[self.bodies.rows] = np.arange(count)
-        rows = np.array(plan.friction)[len(plan.phases) :]
+        rows = np.array(plan.contact.friction)[len(plan.phases) :]
         self.friction = rows[np.minimum(self.bodies.rows, len(rows) - 1)]
         self.adhesion = self._adhesion_law()
         self.contacts = no_contacts(1024, len(self.adhesion.length) > 0)
@@ -184,7 +184,7 @@ class RigidBodies(ActiveFeature):
 
     def conserved(self, time: float) -> dict[str, float]:
         """Return mass, momenta and energies of the bodies at a time [s]."""
-        return self.bodies.conserved(self.plan.gravity_at(time))
+        return self.bodies.conserved(self.plan.gravity.vector_at(time))
 
     def saved(self) -> dict:
         """Return the bodies, and their points in contact."""

@@ -126,7 +126,7 @@ def node_fill(plan: Plan, own: Any) -> NodeFill:
     liquid = np.zeros(len(plan.phases), bool)
     for group in plan.groups:
         liquid[group.phase] |= group.is_liquid
-    kinds = np.array([KINDS[kind] for kind, _ in plan.walls], np.int64).reshape(3, 2)
+    kinds = np.array([KINDS[kind] for kind, _ in plan.walls.liquids], np.int64).reshape(3, 2)
     return NodeFill(
         space.astype(plan.real), by_volume, liquid, np.zeros((0, 64, 4), plan.real),
         np.array(plan.cells), kinds,

@@ -58,7 +58,7 @@ def contribution_kinds(
     """Return the contributions of a group's particles with and without their stress."""
     real = plan.real.type
     numbers = [real(v) for v in (MIRROR_IMPULSE, plan.splines, group.density, plan.affine, plan.dx)]
-    has_own_pressure = group.cell_dilatation or group.separate_pressure
+    has_own_pressure = group.volume.by_cells or group.volume.separate_pressure
     kind = MomentumWithoutPressure if has_own_pressure else Momentum
     return kind(*numbers), MomentumWithoutStress(*numbers)
 

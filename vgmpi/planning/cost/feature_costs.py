@@ -62,13 +62,13 @@ def group_features(
     transfer = f"{scene.accuracy.transfer} transfer"
     if plan.correction_interval:
         result.append(Feature(transfer, pace.fluid / plan.correction_interval * costs.correction))
-    if group.cell_dilatation:
+    if group.volume.by_cells:
         result.append(Feature("dilatation by cells", pace.fluid * costs.cell_dilatation))
     for feature in plan.features:
         if (cost := feature.particle_cost(group, costs)) is not None:
             size = sum(own[name] for name in feature.particle_channels)
             result.append(Feature(feature.title, pace.fluid * cost, size))
-    if group.space:
+    if group.volume.inverse_cell_mass:
         result.append(Feature("density correction", pace.fluid * costs.density_correction))
     result += _meetings(plan, g, pace.fluid, own, costs)
     result += _colliders(scene, plan, g, pace.fluid, costs)
@@ -115,7 +115,7 @@ def _proximity_cost(
     n = near_count = 0.0
     cost = StageCost()
     for k in _rows(plan, g):
-        count, proximity = plan.count[k], plan.surroundings[k]
+        count, proximity = plan.count[k], plan.measures.proximity[k]
         by_phase = {q.phase: q for q in proximity.phases}
         pairs = [(rate, by_phase[phase]) for rate, phase in met if phase in by_phase]
         n += count
@@ -128,7 +128,7 @@ def _proximity_cost(
 def _colliders(scene: Scene, plan: Plan, g: int, fluid: float, costs: StepCosts) -> list[Feature]:
     """Return the cost of the proximity of colliders, as the particles stand."""
     rows = _rows(plan, g)
-    share = _mean([(plan.count[k], plan.surroundings[k].collider) for k in rows])
+    share = _mean([(plan.count[k], plan.measures.proximity[k].collider) for k in rows])
     if not share:
         return []
     cost_by_name = {}
@@ -143,7 +143,7 @@ def _colliders(scene: Scene, plan: Plan, g: int, fluid: float, costs: StepCosts)
             cost_by_name[title] = costs.coupled_collider
         if feature.collider_cost is not None:
             cost_by_name[feature.title] = feature.collider_cost
-    blocks = sum(plan.surroundings[k].blocks for k in rows) / sum(plan.count[k] for k in rows)
+    blocks = sum(plan.measures.proximity[k].blocks for k in rows) / sum(plan.count[k] for k in rows)
     return [
         Feature(name, fluid * share * (cost.particle + blocks * cost.block), 0, 2)
         for name, cost in cost_by_name.items()
@@ -153,7 +153,7 @@ def _colliders(scene: Scene, plan: Plan, g: int, fluid: float, costs: StepCosts)
 def _blocks(plan: Plan, g: int, fluid: float, costs: StepCosts) -> list[Feature]:
     """Return the extra cost of blocks with fewer particles than a throughput is measured with."""
     rows = _rows(plan, g)
-    blocks = sum(plan.surroundings[k].blocks for k in rows)
+    blocks = sum(plan.measures.proximity[k].blocks for k in rows)
     n = sum(plan.count[k] for k in rows)
     excess = blocks / max(n, 1) - 1.0 / PARTICLES_PER_BLOCK
     if excess * costs.block.total < MIN_BLOCK_COST:
@@ -238,7 +238,7 @@ def step_overhead(scene: Scene, plan: Plan) -> float:
 def _rows(plan: Plan, g: int) -> list[int]:
     """Return the objects whose proximity is known, of which particles belong to group `g`."""
     parts = {region.object for region in plan.regions if region.group == g}
-    return [k for k, _ in enumerate(plan.surroundings) if plan.group_of[k] == g or k in parts]
+    return [k for k, _ in enumerate(plan.measures.proximity) if plan.group_of[k] == g or k in parts]
 
 
 def _mean(pairs: list[tuple[int, float]]) -> float:

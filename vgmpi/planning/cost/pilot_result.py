@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -64,7 +63,7 @@ class PilotRun(NamedTuple):
             pace: Throughput of the processor.
         """
         return np.array([
-            m.steps * step_ns(scene, replace(plan, count=m.number, surroundings=m.proximity), pace)
+            m.steps * step_ns(scene, plan.with_particles(m.number, m.proximity), pace)
             for m in self.moments
         ])  # fmt: skip
 

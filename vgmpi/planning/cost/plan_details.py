@@ -67,7 +67,11 @@ def _couplings(plan: Plan) -> list[str]:
         for b in range(a + 1, plan.phases_of_bodies):
             names = f"{plan.phases[a].name} - {plan.phases[b].name}"
             rule = CONTACT if plan.pair_rules is None else plan.pair_rules[a, b]
-            how = f"friction {plan.friction[a][b]:g}" if rule == CONTACT else "they share space"
+            how = (
+                f"friction {plan.contact.friction[a][b]:g}"
+                if rule == CONTACT
+                else "they share space"
+            )
             lines.append(f"  {RULES[rule]:11s} {names}: {how}")
     return lines
 
@@ -76,8 +80,8 @@ def _walls(scene: Scene, plan: Plan) -> list[str]:
     """Return the lines about the walls of the domain."""
     is_liquid = [phase.is_liquid for phase in plan.phases]
     walls = []
-    for k, (wall, friction) in enumerate(plan.walls_of_solids):
-        kind = plan.walls[k][0]
+    for k, (wall, friction) in enumerate(plan.walls.solids):
+        kind = plan.walls.liquids[k][0]
         if kind != wall and any(is_liquid):
             wall = kind if all(is_liquid) else f"{kind} for liquids and {wall} for the rest"
         removal = scene.domain.wall_opening_times[k]
@@ -137,7 +141,7 @@ def _without_cells(scene: Scene, plan: Plan) -> list[str]:
     """Return a line on the liquids that do not follow the dilatation by cells asked for."""
     if scene.accuracy.dilatation != "cells":
         return []
-    names = [group.name for group in plan.groups if group.is_liquid and not group.cell_dilatation]
+    names = [group.name for group in plan.groups if group.is_liquid and not group.volume.by_cells]
     message = "by particles: only liquids that share no space with others follow cells"
     return [f"  dilatation  {_listing(names)} {message}"] if names else []
 

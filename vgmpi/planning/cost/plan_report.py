@@ -113,8 +113,8 @@ def _steps(
     """Return the lines on duration, number of steps and time step, and those of advice."""
     dt, cause = time_step_bounds(scene, plan)[0]
     min_dt, harder = time_step_bounds(scene, plan, stiffened=True)[0]
-    if plan.fixed_dt:
-        dt, min_dt, cause = plan.fixed_dt, plan.fixed_dt, "time.dt"
+    if plan.time_step.fixed:
+        dt, min_dt, cause = plan.time_step.fixed, plan.time_step.fixed, "time.dt"
     each = step_seconds(scene, plan, ranks, pace, rehearsal)
     end, frames = float(plan.times[-1]), len(plan.times)
     left, span = end, f"{end:g} s and {frames} frames"

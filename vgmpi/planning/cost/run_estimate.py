@@ -31,7 +31,7 @@ def predicted_seconds(
         pace: Throughput of the processors.
         pilot: Result of a pilot run.
     """
-    dt = plan.fixed_dt or time_step_bounds(scene, plan)[0][0]
+    dt = plan.time_step.fixed or time_step_bounds(scene, plan)[0][0]
     steps = step_count(plan, dt, 0.0) if pilot is None else math.ceil(pilot.steps)
     return steps * step_seconds(scene, plan, ranks, pace, pilot) + writing_seconds(plan, ranks)
 
@@ -88,7 +88,7 @@ def rank_overhead(plan: Plan, ranks: int) -> float:
     Nodes at the faces of a rank's piece are computed by its neighbors, too, and ranks wait for each
     other: both grow as the surface of a piece over its volume, in blocks.
     """
-    blocks = sum(proximity.blocks for proximity in plan.surroundings)
+    blocks = sum(proximity.blocks for proximity in plan.measures.proximity)
     blocks = max(blocks, sum(plan.count) // PARTICLES_PER_BLOCK, 1)
     return 1.0 + HALO_OVERHEAD * (ranks / blocks) ** (1.0 / 3.0) * (1.0 - 1.0 / ranks)
 
@@ -107,10 +107,10 @@ def step_count(plan: Plan, dt: float, reached: float) -> int:
         dt: Step [s] without them.
         reached: Time [s] from which the run continues.
     """
-    end, count = float(plan.times[-1]), len(plan.motion_steps)
+    end, count = float(plan.times[-1]), len(plan.time_step.motion_steps)
     if not count:
         return math.ceil((end - reached) / dt)
     edges = np.linspace(0.0, end, count + 1)
     share = np.clip((edges[1:] - reached) / np.diff(edges), 0.0, 1.0)
-    steps = np.maximum(np.diff(edges) / dt, plan.motion_steps)
+    steps = np.maximum(np.diff(edges) / dt, plan.time_step.motion_steps)
     return math.ceil(float((share * steps).sum()))

@@ -28,7 +28,7 @@ def warning_lines(scene: Scene, plan: Plan) -> list[str]:
         scene: The scene.
         plan: Its plan.
     """
-    lines = soft_liquid_lines(scene, plan.weights, plan.tensions)
+    lines = soft_liquid_lines(scene, plan.measures.weights, plan.measures.tensions)
     lines += _stiff_liquids(scene, plan) + _steps(scene, plan)
     return lines + [line for feature in plan.features for line in feature.warning_lines(plan)]
 
@@ -43,7 +43,7 @@ def note_lines(scene: Scene, plan: Plan) -> list[str]:
     lines = [
         f"wall {name} is slip: it also holds back bodies that pull away from it; separate lets"
         " them go"
-        for name in plan.holding_walls
+        for name in plan.walls.holding
     ]
     lines += [line for feature in features() for line in feature.note_lines(scene)]
     return lines + _thin(scene, plan)
@@ -55,10 +55,10 @@ def _stiff_liquids(scene: Scene, plan: Plan) -> list[str]:
     Scenes in which something other than gravity drives the motion have none: their speeds are
     unknown.
     """
-    drop = sum(abs(g) * n * plan.dx for g, n in zip(plan.gravity, plan.cells, strict=True))
+    drop = sum(abs(g) * n * plan.dx for g, n in zip(plan.gravity.vector, plan.cells, strict=True))
     is_driven = any(feature.drives_motion for feature in plan.features)
     is_driven |= any(obj.motion is not None for obj in scene.object)
-    if plan.fixed_dt or scene.is_free_of_waves or plan.gravity_keys or is_driven or not drop:
+    if plan.time_step.fixed or scene.is_free_of_waves or plan.gravity.keys or is_driven or not drop:
         return []
     bounds = time_step_bounds(scene, plan)
     dt, cause = bounds[0]
@@ -70,7 +70,11 @@ def _stiff_liquids(scene: Scene, plan: Plan) -> list[str]:
         if cause != f"material {name!r}" or suits < MAX_SPEED_RATIO * fastest:
             continue
         longer = [bound for bound, other in bounds if other != cause]
-        relaxed = plan.cfl * plan.dx / (fastest / math.sqrt(liquid.max_compression) + max(begun))
+        relaxed = (
+            plan.time_step.cfl
+            * plan.dx
+            / (fastest / math.sqrt(liquid.max_compression) + max(begun))
+        )
         gain = min([relaxed, *longer]) / dt
         if gain < MIN_STEPS_SAVED:
             continue
@@ -93,7 +97,7 @@ def _liquids(scene: Scene) -> dict[str, Any]:
 def _steps(scene: Scene, plan: Plan) -> list[str]:
     """Return a line on a solid that alone makes the steps short, or on a run of very many steps."""
     bounds = time_step_bounds(scene, plan)
-    dt, cause = (plan.fixed_dt, "time.dt") if plan.fixed_dt else bounds[0]
+    dt, cause = (plan.time_step.fixed, "time.dt") if plan.time_step.fixed else bounds[0]
     count = step_count(plan, dt, 0.0)
     reason = f"about {count:,} steps of {dt:.2g} s, set by {escape_control_characters(cause)}"
     solids = {f"material {n!r}": n for n, m in scene.material.items() if m.family == "solid"}
@@ -114,7 +118,7 @@ def _thin(scene: Scene, plan: Plan) -> list[str]:
     """Return a line on solid bodies too thin for exact coupling with the fluids they may touch."""
     bodies = [
         f"{escape_control_characters(scene.object[k].name)} {thick / plan.dx:.1f}"
-        for k, thick in enumerate(plan.thickness)
+        for k, thick in enumerate(plan.measures.thickness)
         if thick < THIN_CELLS * plan.dx
     ]
     if not bodies:

@@ -103,7 +103,7 @@ def limiting_material_lines(scene: Scene, plan: Plan, compare: Callable[[float],
     bounds = time_step_bounds(scene, plan)
     dt, limit = bounds[0]
     slower = [bound for bound, cause in bounds if cause != limit]
-    if plan.fixed_dt or not slower or slower[0] < MIN_STEP_GAIN * dt:
+    if plan.time_step.fixed or not slower or slower[0] < MIN_STEP_GAIN * dt:
         return []
     keys = {f"material {name!r}": (name, stiffness_key(m)) for name, m in scene.material.items()}
     keys |= {f"the viscosity of material {name!r}": (name, "viscosity") for name in scene.material}
@@ -138,10 +138,10 @@ def rigid_clause(scene: Scene, plan: Plan, name: str) -> str:
     moved = {k for feature in plan.features for k in feature.groups_after_release()}
     if not rows or any(k in moved or plan.group_of[k] < 0 for k in rows):
         return ""
-    stiff = min(plan.stiff[plan.groups[plan.group_of[k]].phase] for k in rows)
+    stiff = min(plan.contact.stiffness[plan.groups[plan.group_of[k]].phase] for k in rows)
     depth, speed = plan.cells[2] * plan.dx, max(obj.speed for obj in scene.object)
     stress = max(group.density for group in plan.groups) * (
-        math.hypot(*plan.gravity) * depth + speed**2
+        math.hypot(*plan.gravity.vector) * depth + speed**2
     )
     if stress > MAX_RIGID_STRAIN * stiff:
         return ""
@@ -165,11 +165,16 @@ def pruning_lines(
     """
     lines = []
     for k, obj in enumerate(scene.object):
-        if obj.role != "body" or obj.shape is not None or obj.prune != "off" or not plan.volumes:
+        if (
+            obj.role != "body"
+            or obj.shape is not None
+            or obj.prune != "off"
+            or not plan.measures.volumes
+        ):
             continue
         if obj.region:  # how many particles of each would remain is not known
             continue
-        pruned_count = round(PRUNED_PER_CELL * plan.volumes[k] / plan.dx**3)
+        pruned_count = round(PRUNED_PER_CELL * plan.measures.volumes[k] / plan.dx**3)
         if plan.count[k] < MIN_PRUNING_GAIN * max(pruned_count, 1):
             continue
         count = (*plan.count[:k], pruned_count, *plan.count[k + 1 :])

@@ -22,7 +22,7 @@ def conservation_rows(simulation: Simulation) -> list[dict]:
         rows = np.empty((len(group.start), COLUMNS))
         segment_conservation_rows(
             group.plan.law, group.start, group.count, group.block, group.xi, group.f, group.bits,
-            group.plan.density, plan.dx, plan.gravity_at(simulation.time), rows,
+            group.plan.density, plan.dx, plan.gravity.vector_at(simulation.time), rows,
         )  # fmt: skip
         if any(len(sums) in feature.uncounted_groups for feature in plan.features):
             rows[:, 1:8] = rows[:, 9] = 0.0  # part of the columns of rigid bodies

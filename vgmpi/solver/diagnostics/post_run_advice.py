@@ -63,7 +63,7 @@ def _stiffness_advice(scene: Scene, plan: Plan, observed: RunObserver) -> list[s
     if name is None:
         return []
     material = scene.material[name]
-    if plan.fixed_dt or not isinstance(material, Fluid) or material.max_depth is not None:
+    if plan.time_step.fixed or not isinstance(material, Fluid) or material.max_depth is not None:
         return []
     if any(group.stores_porosity for group in plan.groups if group.material == name):
         return []  # its waves travel in the sand as well
@@ -79,7 +79,7 @@ def _stiffness_advice(scene: Scene, plan: Plan, observed: RunObserver) -> list[s
             )
     wave = math.sqrt(minimum_modulus / material.density)
     others = [bound for bound, source in limits if source != limit]
-    longer = min([plan.cfl * plan.dx / (wave + speed), *others])
+    longer = min([plan.time_step.cfl * plan.dx / (wave + speed), *others])
     if longer < MIN_STEP_GAIN * dt:
         return []
     key = stiffness_key(material)
@@ -109,7 +109,7 @@ def _scenery_advice(scene: Scene, plan: Plan, observed: RunObserver) -> list[str
     """Advise to turn bodies that neither moved nor deformed into scenery."""
     if observed.frames < FRAMES:
         return []
-    end, weight = float(plan.times[-1]), math.hypot(*plan.gravity)
+    end, weight = float(plan.times[-1]), math.hypot(*plan.gravity.vector)
     lines = []
     for p, phase in enumerate(plan.phases):
         mass = observed.mass.get(phase.name, 0.0)
@@ -122,7 +122,7 @@ def _scenery_advice(scene: Scene, plan: Plan, observed: RunObserver) -> list[str
         low, high = observed.potential[phase.name]
         sank = (high - low) / (mass * weight) if weight else 0.0
         energy = 2.0 * max(observed.elastic[phase.name], 0.0) * density / mass  # [J/m3]
-        strain = math.sqrt(energy / plan.stiff[p])
+        strain = math.sqrt(energy / plan.contact.stiffness[p])
         if max(displacement, sank) < MAX_DISPLACEMENT_CELLS * plan.dx and strain < MAX_STRAIN:
             lines += [_as_scenery(scene, plan, k) for k in phase.objects]
     return lines

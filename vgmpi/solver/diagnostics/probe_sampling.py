@@ -288,7 +288,7 @@ class Probes:
     def _gravity(self, dt: float) -> np.ndarray:
         """Return the mean gravity over the last dt [s], shape (3,) [m/s2]."""
         now = self.simulation.time
-        return self.simulation.plan.gravity_between(now - dt, now) if dt else np.zeros(3)
+        return self.simulation.plan.gravity.mean_between(now - dt, now) if dt else np.zeros(3)
 
 
 MEASURE = {

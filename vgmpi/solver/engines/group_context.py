@@ -64,7 +64,7 @@ def group_context(
     contributes = {name: chosen[rows] for name, chosen in tables.contributes.items()}
     is_apart = any(other.separates_stress for other in plan.groups)
     split = contributes["impulses"] if is_apart else np.zeros(len(rows), bool)
-    gathers_more = split | group.plan.cell_dilatation
+    gathers_more = split | group.plan.volume.by_cells
     for feature in plan.features:
         gathers_more |= bool(feature.gathers(group.plan)) and not feature.gathers_with_stress
     segments = Segments(
@@ -86,7 +86,7 @@ def group_context(
 def numbers_of(plan: Plan, group: GroupPlan) -> g2p.GroupConstants:
     """Return the constants of a group in the precision of the run."""
     values = (
-        plan.splines, plan.dx, _fill_per_number(plan, group) if group.softens_spray else 0.0,
+        plan.splines, plan.dx, _fill_per_number(plan, group) if group.volume.softens_spray else 0.0,
         float(group.is_liquid and not group.shares_space),
     )  # fmt: skip
     return g2p.GroupConstants(*map(plan.real.type, values))
@@ -119,12 +119,16 @@ def auxiliary_gather_kind(plan: Plan, group: GroupPlan, auxiliary: dict, dt: flo
         group has one.
     """
     inner = _kind_without_correction(plan, group, auxiliary, dt)
-    return DensityCorrected(inner, plan.real.type(group.space)) if group.space else inner
+    return (
+        DensityCorrected(inner, plan.real.type(group.volume.inverse_cell_mass))
+        if group.volume.inverse_cell_mass
+        else inner
+    )
 
 
 def _kind_without_correction(plan: Plan, group: GroupPlan, auxiliary: dict, dt: float) -> tuple:
     """Return the kind of gather without the density correction."""
-    if group.cell_dilatation:
+    if group.volume.by_cells:
         return CellDilatation(0.0)
     kinds: list[tuple] = []
     patch_count = 0

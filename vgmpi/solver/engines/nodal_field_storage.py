@@ -287,7 +287,7 @@ def contributions(
         else FieldContribution("momentum", full, ~split),
         FieldContribution("offsets", surface_distance.kind(plan, group), contributes["offsets"]),
     ]
-    if group.cell_dilatation:
+    if group.volume.by_cells:
         result.append(FieldContribution("momentum", liquid_volume.cell_pressure_kind(plan), ~split))
     if group.separates_stress:
         result.append(FieldContribution("momentum", inert, split))

@@ -56,9 +56,9 @@ def wall_table(plan: Plan) -> Walls:
     """Return the kinds and friction of the six walls, for liquids and for everything else."""
     kinds, for_solids = (
         np.array([KINDS[kind] for kind, _ in walls], np.int64).reshape(3, 2)
-        for walls in (plan.walls, plan.walls_of_solids)
+        for walls in (plan.walls.liquids, plan.walls.solids)
     )
-    friction = np.array([mu for _, mu in plan.walls]).reshape(3, 2)
+    friction = np.array([mu for _, mu in plan.walls.liquids]).reshape(3, 2)
     if not plan.separates_stress:
         for_solids[for_solids == SEPARATE] = YIELDING
     for_surfaces = for_solids.copy()
@@ -90,8 +90,8 @@ def phase_table(plan: Plan) -> Phases:
     return Phases(
         np.array([phase.min_cell_mass for phase in plan.phases]),
         np.array([phase.contact_priority for phase in plan.phases]),
-        np.array(plan.friction),
-        np.array(plan.stiff),
+        np.array(plan.contact.friction),
+        np.array(plan.contact.stiffness),
         np.array([phase.surface for phase in plan.phases]),
         np.array([phase.meets_walls_by_contact for phase in plan.phases]),
         np.array([phase.is_liquid for phase in plan.phases]),
@@ -115,7 +115,7 @@ def topology_requirements(plan: Plan) -> TopologyRequirements:
     """Return the requirements of the plan for the exchange tables."""
     return TopologyRequirements(
         np.array([group.phase for group in plan.groups], np.int64),
-        plan.contact,
+        plan.contact.has_pairs,
         _separate_stress(plan),
         tuple(request.place(plan) for request in field_requests(plan)),
         np.array([phase.surface for phase in plan.phases]),

@@ -124,7 +124,7 @@ def _cube(plan: Plan, x: np.ndarray) -> tuple[Simulation, float]:
     ids, owners = np.arange(n), np.zeros(n, np.int64)
     volume = np.full(n, plan.dx**3 / 8)
     law = plan.groups[0]
-    dt = 0.3 * plan.dx / math.sqrt(plan.stiff[0] / law.density)
+    dt = 0.3 * plan.dx / math.sqrt(plan.contact.stiffness[0] / law.density)
     swirl = np.sin(2 * np.pi * x / (SIDE * plan.dx))
     v = CELLS_PER_STEP * plan.dx / dt * (np.array([0.9, 0.7, 0.5]) + 0.05 * swirl)
     simulation.put(x, v, volume, ids, owners)

@@ -9,7 +9,6 @@ import logging
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -132,7 +131,7 @@ def pilot_seconds(scene: Scene, plan: Plan, pace: Throughput) -> float:
     if not grids:
         return math.inf
     ratio = scene.domain.cell / grids[0].cell
-    dt = plan.fixed_dt or time_step_bounds(scene, plan)[0][0]
+    dt = plan.time_step.fixed or time_step_bounds(scene, plan)[0][0]
     steps = ratio * float(plan.times[-1]) / dt
     return steps * (1e-9 * step_ns(scene, plan, pace, ratio) + step_overhead(scene, plan))
 
@@ -193,8 +192,8 @@ def _play(
     start, snapshots = time.monotonic(), []
     with prepared_run(coarse, SerialCommunicator(), Options(None)) as run:
         step_ratio = time_step_bounds(coarse, run.plan)[0][0] / time_step_bounds(scene, plan)[0][0]
-        if plan.fixed_dt and run.plan.fixed_dt:
-            step_ratio = run.plan.fixed_dt / plan.fixed_dt
+        if plan.time_step.fixed and run.plan.time_step.fixed:
+            step_ratio = run.plan.time_step.fixed / plan.time_step.fixed
         interval, steps_before = math.ceil(len(run.times) / SNAPSHOTS), 0
         first_second = second_before = time.process_time()
 
@@ -274,7 +273,7 @@ def _coarse_step(
     x, _, owner = _bodies_of(simulation)
     count = np.bincount(owner, minlength=len(simulation.plan.count))
     proximity = measure_proximity(coarse, np.split(x, np.cumsum(count)[:-1]), summary.colliders)
-    plan = replace(simulation.plan, count=tuple(count.tolist()), surroundings=proximity)
+    plan = simulation.plan.with_particles(tuple(count.tolist()), proximity)
     fluid, elastic = (
         step_ns(coarse, plan, Throughput(*pace, "")) for pace in ((1.0, 0.0), (0.0, 1.0))
     )

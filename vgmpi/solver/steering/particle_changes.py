@@ -101,7 +101,7 @@ class ParticleChanges(ActiveFeature):
         plan = self.simulation.plan
         if not self.fastest:
             return rate
-        return rate + self.fastest / (rate * min(plan.cfl, MAX_CELLS_PER_STEP) * plan.dx)
+        return rate + self.fastest / (rate * min(plan.time_step.cfl, MAX_CELLS_PER_STEP) * plan.dx)
 
     def push_particles(self, span: StepSpan) -> float:
         """Apply the forces of a step to the velocities; return a bound [m/s] of what they add."""

@@ -67,7 +67,7 @@ class Contestant:
         options = Options(folder, config["threads"], "cuda" if self.card else "cpu")
         check(options, self.ranks)
         self.start = (scene, plan, summary, self.ranks, options)
-        self.dt = plan.fixed_dt
+        self.dt = plan.time_step.fixed
         # one thread: its own time, so that what else the machine does counts little
         is_serial = config["threads"] == 1 and self.ranks.size == 1
         self.now = time.thread_time if is_serial else time.perf_counter
@@ -91,7 +91,10 @@ class Contestant:
         """
         scene, plan, summary, ranks, options = self.start
         if not softens_spray:
-            groups = tuple(group._replace(softens_spray=False) for group in plan.groups)
+            groups = tuple(
+                group._replace(volume=group.volume._replace(softens_spray=False))
+                for group in plan.groups
+            )
             plan = replace(plan, groups=groups)
         self.simulation, _ = begin(scene, plan, summary, ranks, options)
 

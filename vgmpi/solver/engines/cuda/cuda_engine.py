@@ -59,7 +59,7 @@ class Cuda(CompiledEngine):
         self.work: list[Work] = []
         phases = len(plan.phases)
         patches = 1 + len(self.layers.gathered_nodes)
-        by_cells = any(group.cell_dilatation for group in plan.groups)
+        by_cells = any(group.volume.by_cells for group in plan.groups)
         sizes = {
             "WORDS": self.words, "PHASES": phases, "SPLINES": bool(plan.splines), "CELLS": by_cells,
             "PAIRS": phases * (phases + 1) // 2 + 3 * phases,
@@ -294,7 +294,7 @@ class Cuda(CompiledEngine):
         """Transfer grid velocities to the particles and advect them."""
         self.step_number = step + 1
         motion = g2p.StepConstants(
-            self.real(self.dt), self.real(self.plan.cfl), 2.0 ** BITS[self.plan.real],
+            self.real(self.dt), self.real(self.plan.time_step.cfl), 2.0 ** BITS[self.plan.real],
             *dither_of_step(step),
         )  # fmt: skip
         for part, work in zip(self.parts, self.work, strict=True):
@@ -340,7 +340,7 @@ class Cuda(CompiledEngine):
         report = self.buffer.read()
         fastest, stray, fast, stretching, displacement, gradient2 = report.maxima
         prescribed, dt = report.prescribed_maxima, self.real(self.dt)
-        dx, cfl = self.real(self.plan.dx), self.real(self.plan.cfl)
+        dx, cfl = self.real(self.plan.dx), self.real(self.plan.time_step.cfl)
         rate = max(
             float(fastest / (cfl * dx)), float(fast) / (MAX_CELLS_PER_STEP * float(dx)),
             float(stretching) / MAX_VOLUME_STRAIN_PER_STEP,

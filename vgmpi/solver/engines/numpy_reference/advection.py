@@ -54,7 +54,7 @@ def advect(
     position = x + BLOCK_EDGE * np.repeat(group.block, group.count, axis=0)
     inside = ((position > -2.0) & (position < np.array(plan.cells) - 1.0)).all(1)
     speed = np.linalg.norm(v, axis=1)
-    rates = (np.sqrt(np.maximum(wave2, 0.0)) + speed) / (plan.cfl * dx)
+    rates = (np.sqrt(np.maximum(wave2, 0.0)) + speed) / (plan.time_step.cfl * dx)
     rates = np.maximum(
         rates, np.maximum(speed / (MAX_CELLS_PER_STEP * dx), trace / MAX_VOLUME_STRAIN_PER_STEP)
     )

@@ -90,7 +90,7 @@ class Contact:
             collider_number: Index of the collider, shape (n,).
             moves: Velocity of the collider [m/s], shape (n, 3), or None if all are at rest.
         """
-        rows = np.array(self.plan.friction)[len(self.plan.phases) :]
+        rows = np.array(self.plan.contact.friction)[len(self.plan.phases) :]
         self.friction = rows[np.minimum(collider_number, len(rows) - 1)].reshape(*self.shape, -1)
         self.collider = collider.reshape(*self.shape, 4)
         self.collider_number = collider_number.reshape(self.shape)
@@ -219,14 +219,16 @@ class Contact:
                 a, b = (p, p_other) if first else (p_other, p)
                 n = _normal(sides[a], sides[b])
                 if n is not None:
-                    stiffness = 1.0 / (1.0 / plan.stiff[a] + 1.0 / plan.stiff[b])
+                    stiffness = 1.0 / (
+                        1.0 / plan.contact.stiffness[a] + 1.0 / plan.contact.stiffness[b]
+                    )
                     distance = sides[a].distance(n), sides[b].distance(-n)
                     yield (
                         a,
                         b,
                         n,
                         *distance,
-                        plan.friction[p][p_other],
+                        plan.contact.friction[p][p_other],
                         stiffness,
                         self._prescribed_of(a, b, u),
                     )
@@ -254,7 +256,7 @@ class Contact:
                         outward, depth = self.division.face(b, node, outward, distance)
                     yield (
                         None, b, outward, depth / self.dx, sides[b].distance(-outward),
-                        friction[b], plan.stiff[b], body,
+                        friction[b], plan.contact.stiffness[b], body,
                     )  # fmt: skip
 
 

@@ -77,7 +77,7 @@ class Dense:
 
     def __init__(self, plan: Plan):
         self.cells, self.dx = plan.cells, plan.dx
-        self.walls, self.splines = plan.walls, plan.splines
+        self.walls, self.splines = plan.walls.liquids, plan.splines
         self.walls_of_phases = [_walls_of(plan, phase) for phase in plan.phases]
         self.shape = tuple(n + 3 for n in plan.cells)
         # [m^3] Volume of the domain that belongs to each node; a wall halves it.
@@ -301,11 +301,11 @@ class Dense:
 def _walls_of(plan: Plan, phase: PhasePlan) -> tuple[tuple[str, float], ...]:
     """Return the walls of a phase, without those that push its surfaces by contact."""
     if phase.is_liquid:
-        return plan.walls
+        return plan.walls.liquids
     pushing = "separate" if plan.separates_stress else "yielding"
     kind = "open" if phase.meets_walls_by_contact else pushing
     return tuple(
-        (kind if wall == "separate" else wall, friction) for wall, friction in plan.walls_of_solids
+        (kind if wall == "separate" else wall, friction) for wall, friction in plan.walls.solids
     )
 
 

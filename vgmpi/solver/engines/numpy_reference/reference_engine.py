@@ -190,7 +190,7 @@ class Numpy(SurfaceNodes):
         tau = self.dt * vol0[:, :, None] * kirchhoff_stress(law, state, C) * (not plan.driven)
         if plan.stores_porosity:
             tau = np.where(split[:, None, None], tau / get_channel(group, "share")[:, :, None], tau)
-        if plan.cell_dilatation:
+        if plan.volume.by_cells:
             tau = sum_cell_pressure(into.pressure, into.stencil, tau)
         separate = split[:, None, None]
         dense.sum_forces(into.momentum, into.stencil, np.where(separate, 0.0, tau))
@@ -369,12 +369,14 @@ class Numpy(SurfaceNodes):
         put_channel(group, "C", L.reshape(-1, 9))
         for stage in self.stages:
             transport, L = stage.motion(group, stencil, split, transport, L)
-        if plan.cell_dilatation:
+        if plan.volume.by_cells:
             L = with_divergence(L, cell_divergence(self.v[p], stencil))
-        if plan.space:
+        if plan.volume.inverse_cell_mass:
             J = np.exp(get_channel(group, "theta")[:, 0])
-            L = density_corrected_gradient(dense, self.nodes.mass[p], stencil, plan.space, J, L)
-        if plan.softens_spray:
+            L = density_corrected_gradient(
+                dense, self.nodes.mass[p], stencil, plan.volume.inverse_cell_mass, J, L
+            )
+        if plan.volume.softens_spray:
             L = without_spray_divergence(L, self._fill_fraction(group, stencil))
         law, rows = law_in_doubles(group), tuple(L.reshape(-1, 9).T)
         state = law_function(law, "advance")(law, law_state(group), rows, self.dt)
