@@ -8,8 +8,7 @@ from tests.support.simulate import begin
 from vgmpi.kernels.kernel_arguments import Particles, Segments
 from vgmpi.kernels.particle_records import scratch
 from vgmpi.kernels.transfer import surface_p2g
-from vgmpi.solver import simulation as step
-from vgmpi.solver.engines import surface_fields
+from vgmpi.solver.engines import plan_tables, surface_fields
 
 OIL = """
 [material.oil]
@@ -50,7 +49,7 @@ def test_it_changes_no_bits(tmp_path, monkeypatch, case):
     text = text + OIL if case == "two phases" else text
     found, used, near = state(tmp_path / "a", text, 60)
     assert 0 < used < 0.6 * near
-    for module in (surface_fields, step):
+    for module in (surface_fields, plan_tables):
         monkeypatch.setattr(module, "is_summed_at_surfaces", lambda plan: False)
     every, *none = state(tmp_path / "b", text, 60)
     assert none == [0, 0]

@@ -13,7 +13,6 @@ from tests.support import simulated_ranks
 from tests.support.rank_states import by_id, different, state
 from tests.support.small_scenes import MIXED
 from vgmpi.parallel import (
-    exchange_topology,
     halo_exchange,
     load_balance,
     node_overlap,
@@ -122,9 +121,9 @@ def forget_corners(monkeypatch):
 
 
 def changed_tables(monkeypatch, change):
-    real = exchange_topology.build_topology
+    real = halo_exchange.build_topology
     monkeypatch.setattr(
-        exchange_topology, "build_topology", lambda *arguments: change(real(*arguments))
+        halo_exchange, "build_topology", lambda *arguments: change(real(*arguments))
     )
 
 

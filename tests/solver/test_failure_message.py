@@ -10,7 +10,6 @@ from vgmpi.kernels.step_records import AccumulatorOverflow, StepReport
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.parallel.exchange_topology import (
     NEAR_BODIES,
-    REST_VOLUME,
     FieldPlace,
     TopologyRequirements,
 )
@@ -31,7 +30,7 @@ name = "pool"
 material = "water"
 shape = { box = [[0, 0, 0], [0.2, 0.2, 0.1]] }
 """
-NAMES = "shear", *NEAR_BODIES, "particle pressure", REST_VOLUME, "color 0"
+NAMES = "shear", *NEAR_BODIES, "particle pressure", "rest volume", "color 0"
 NEEDS = TopologyRequirements(
     np.zeros(1, np.int64), True, True, tuple(FieldPlace(n, np.ones(1, bool)) for n in NAMES)
 )
@@ -46,7 +45,11 @@ def plan(tmp_path_factory):
 @pytest.mark.parametrize("field", NEEDS.layers)
 def test_each_field_has_a_name(plan, field):
     simulation = SimpleNamespace(
-        ranks=SerialCommunicator(), plan=plan, needs=NEEDS, step=7, time=0.5
+        ranks=SerialCommunicator(),
+        plan=plan,
+        step=7,
+        time=0.5,
+        exchange=SimpleNamespace(needs=NEEDS),
     )
     overflow = AccumulatorOverflow((1, 1, 0), 0, field)
     report = StepReport(1.0, 0.0, (0.0, 0.0, 0.0), [], [overflow])

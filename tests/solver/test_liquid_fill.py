@@ -12,9 +12,9 @@ from tests.support.launch import mpirun
 from tests.support.simulate import advance, begin, by_id
 from vgmpi.commands import cli
 from vgmpi.io import csv_log, file_layout
-from vgmpi.solver import run
 from vgmpi.solver.diagnostics.conservation import conservation_rows
 from vgmpi.solver.diagnostics.liquid_fill import changed_volume_lines, liquid_fill
+from vgmpi.solver.restart import run_files
 
 SCENE = """
 [domain]
@@ -146,7 +146,7 @@ def test_a_ledger_without_the_columns_goes_on_without_them(tmp_path, monkeypatch
     path.write_text(SCENE.replace("CORRECTION", "shifting"))
     out = tmp_path / "out"
     with monkeypatch.context() as patch:
-        patch.setattr(run, "liquid_phases", lambda plan: [])
+        patch.setattr(run_files, "liquid_phases", lambda plan: [])
         assert cli.main([str(path), "-q", "-o", str(out), "--stop-after", "30 steps"]) == 75
     liquids, _ = csv_log.optional_ledger_columns(out / "ledger.csv", True, False)
     assert not liquids
