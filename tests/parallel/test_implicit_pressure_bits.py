@@ -11,8 +11,8 @@ from tests.support.file_digests import (
     run_on_one_rank,
 )
 from tests.support.simulate import advance, begin, by_id
-from vgmpi.features.implicit_pressure import coupling as implicit_pressure
-from vgmpi.features.implicit_pressure import pressure_system
+from vgmpi.features.implicit_pressure import pressure_solver
+from vgmpi.features.implicit_pressure.kernels import relaxation
 
 # two columns that meet: both halves of the tank have moving blocks, and ranks exchange cells
 SCENE = """
@@ -63,15 +63,15 @@ def test_few_blocks_are_swept_by_one_thread_with_the_same_bits(tmp_path, monkeyp
     text, seen = SCENE.replace("PRECISION", "single"), set()
     alone, _ = begin(tmp_path, text)
     advance(alone, 0.02)
-    each = implicit_pressure.ImplicitPressure._each
+    each = pressure_solver.PressureSolver.each
 
     def record_relaxations(self, shares, kernel, *arguments):
-        if kernel is pressure_system.relax:
+        if kernel is relaxation.relax:
             seen.add(len(shares))
         each(self, shares, kernel, *arguments)
 
-    monkeypatch.setattr(implicit_pressure, "SHARED_BLOCKS", limit)
-    monkeypatch.setattr(implicit_pressure.ImplicitPressure, "_each", record_relaxations)
+    monkeypatch.setattr(pressure_solver, "SHARED_BLOCKS", limit)
+    monkeypatch.setattr(pressure_solver.PressureSolver, "each", record_relaxations)
     both, _ = begin(tmp_path, text, threads=2)
     advance(both, 0.02)
     assert seen == rows

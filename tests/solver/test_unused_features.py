@@ -357,8 +357,9 @@ FEATURES = {
             for owner in ("engine.layers", "tables.has_terms", "tables.contributes")
         )},
         {"ParticlePressure", "MomentumWithoutPressure", "ImplicitPressureGather",
-         "Lattice", "PressureFields", "set_nodes", "set_cells", "set_excess", "respond", "sweep",
-         "add_velocities", "store_node_pressure", "store_moves"},
+         "Lattice", "PressureFields", "LevelFields", "set_nodes", "set_cells", "set_excess",
+         "begin_sweeps", "respond", "sweep", "multiply", "find_remainder", "interpolate",
+         "sum_products", "add_velocities", "store_node_pressure", "store_moves"},
     ),
     "an inlet": (PLAIN + TAP, {"features.inlets_outlets", "plan.features"}, set()),
     "an outlet": (PLAIN + DRAIN, {"features.inlets_outlets"}, set()),

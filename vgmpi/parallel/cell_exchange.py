@@ -24,6 +24,7 @@ class CellTopology(NamedTuple):
 
     neighbors: np.ndarray  # (n, 27) rows of the blocks around each block, n for none
     region: np.ndarray  # (n, 64) bool, cells that this rank computes
+    counted: np.ndarray  # (n, 64) bool, those of them that no lower rank computes
     sends: dict[int, np.ndarray]  # rank -> flat indices of the cells to send
     receives: dict[int, np.ndarray]  # rank -> flat indices of the cells to receive
 
@@ -69,7 +70,7 @@ def cell_topology(
     count = len(tables.coordinates)
     if not count:
         none = np.zeros((0, 64), bool)
-        return CellTopology(np.zeros((0, 27), np.int64), none, {}, {})
+        return CellTopology(np.zeros((0, 27), np.int64), none, none, {}, {})
     block = lattice.block(census.code)
     own = block[census.owner == rank]
     low = own.min(0) - MARGIN
@@ -92,20 +93,27 @@ def cell_topology(
         i, j, k = (p % BLOCK_EDGE for p in place)
         return 64 * row + 16 * i + 4 * j + k
 
+    def _marks_of(cells: np.ndarray) -> np.ndarray:
+        """Return True for cells on the map, shape (n, 64)."""
+        marks = np.zeros((count, 64), bool)
+        marks.reshape(-1)[_index_of(cells)] = True
+        return marks
+
     mine = _map_of(own)
-    region = np.zeros((count, 64), bool)
-    region.reshape(-1)[_index_of(mine)] = True
+    counted = mine.copy()
     inside = ((block >= low) & (block < low + shape)).all(1)
     sends, receives = {}, {}
     reach = _with_neighbors(mine)
     for other in np.unique(census.owner[inside & (census.owner != rank)]):
         theirs = _map_of(block[inside & (census.owner == other)])
+        if other < rank:
+            counted &= ~theirs
         sent, received = mine & _with_neighbors(theirs) & ~theirs, theirs & reach & ~mine
         if sent.any():
             sends[int(other)] = _index_of(sent)
         if received.any():
             receives[int(other)] = _index_of(received)
-    return CellTopology(neighbors, region, sends, receives)
+    return CellTopology(neighbors, _marks_of(mine), _marks_of(counted), sends, receives)
 
 
 class CellExchange:

@@ -62,9 +62,12 @@ class ImplicitPressurePlan(FeaturePlan):
         Args:
             context: See `FeaturePlan.start`.
         """
-        from .coupling import ImplicitPressure  # it compiles
+        from .coupling import ImplicitPressure  # they compile
+        from .pressure_solver import PressureSolver
 
-        return ImplicitPressure(context)
+        plan = context.plan
+        solver = PressureSolver(context.ranks, plan.cells, plan.real)
+        return ImplicitPressure(context, solver)
 
 
 def plan_implicit_pressure(draft: PlanDraft) -> tuple[ImplicitPressurePlan, PlanDraft]:

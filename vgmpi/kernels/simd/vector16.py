@@ -156,6 +156,20 @@ def load(typing, row, first):
 
 
 @intrinsic
+def load_wide(typing, row, first):
+    """Load row[first], row[first + 1], ... of a contiguous array as one vector of doubles."""
+    lanes = VECTOR_OF[row.dtype]
+
+    def _codegen(context, builder, signature, arguments):
+        pointer = address(context, builder, signature.args[0], *arguments)
+        pointer = builder.bitcast(pointer, lanes.vector.as_pointer())
+        values = builder.load(pointer, align=lanes.real.bitwidth // 8)
+        return values if lanes is DOUBLES else builder.fpext(values, DOUBLES.vector)
+
+    return DOUBLES(row, types.intp), _codegen
+
+
+@intrinsic
 def store(typing, row, first, values):
     """Store a vector to row[first], row[first + 1], ...
 

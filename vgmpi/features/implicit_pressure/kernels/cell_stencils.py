@@ -1,0 +1,119 @@
+"""Differences and means between cells and their nodes, for planes of 16 in blocks of 64.
+
+A cell stands in the place of its lowest node; a plane of 16 is a vector. Tables of neighbors have
+eight blocks: bit 2 of the index steps along x, bit 1 along y, bit 0 along z, down in `low` and up
+in `high`. Each cell and each node sums in one order, so that the result does not depend on ranks
+and threads.
+"""
+
+from vgmpi.kernels.simd.row_ops import (
+    shift_from_above,
+    shift_from_below,
+    shift_from_north,
+    shift_from_south,
+)
+from vgmpi.kernels.simd.vector16 import load
+from vgmpi.runtime.jit import always_inline
+
+
+@always_inline
+def _cells_below(values, blocks, first, plane):
+    """Return the plane of cells, and those one step down along z, along y, and along both."""
+    own = load(values, 64 * blocks[first] + plane)
+    below = load(values, 64 * blocks[first + 1] + plane)
+    south = load(values, 64 * blocks[first + 2] + plane)
+    south_below = load(values, 64 * blocks[first + 3] + plane)
+    z = shift_from_below(below, own)
+    both = shift_from_south(shift_from_below(south_below, south), z)
+    return own, z, shift_from_south(south, own), both
+
+
+@always_inline
+def _nodes_above(values, size, blocks, first, plane):
+    """Return the plane of nodes, and those one step up along z, along y, and along both.
+
+    Args:
+        values: Nodal numbers, flat.
+        size: Numbers of a block.
+        blocks: Blocks at and above.
+        first: First of four of them.
+        plane: Offset of the plane in a block.
+    """
+    own = load(values, size * blocks[first] + plane)
+    above = load(values, size * blocks[first + 1] + plane)
+    north = load(values, size * blocks[first + 2] + plane)
+    north_above = load(values, size * blocks[first + 3] + plane)
+    z = shift_from_above(own, above)
+    both = shift_from_north(z, shift_from_above(north, north_above))
+    return own, z, shift_from_north(own, north), both
+
+
+@always_inline
+def differences_below(values, blocks, first, plane):
+    """Return sum, difference along y and difference along z of the four cells at each node.
+
+    Args:
+        values: Numbers of cells, flat.
+        blocks: Blocks at and below.
+        first: First of four of them.
+        plane: Offset of the plane in a block.
+    """
+    own, z, y, both = _cells_below(values, blocks, first, plane)
+    return (both + y) + (z + own), (both + y) - (z + own), (both + z) - (y + own)
+
+
+@always_inline
+def mean_of_nodes(values, blocks, b, x):
+    """Return the means over the eight nodes of the cells of a plane.
+
+    Args:
+        values: Numbers of nodes, flat.
+        blocks: Blocks at and above each block, eight of them.
+        b: Block.
+        x: Number of the plane in the block.
+    """
+    o, z, y, yz = _nodes_above(values, 64, blocks, 8 * b, 16 * x)
+    first, plane = (8 * b, 16 * (x + 1)) if x < 3 else (8 * b + 4, 0)
+    p, pz, py, pyz = _nodes_above(values, 64, blocks, first, plane)
+    return 0.125 * (((o + z) + (y + yz)) + ((p + pz) + (py + pyz)))
+
+
+@always_inline
+def mean_of_axes(inverse, blocks, b, x):
+    """Return the means over the eight nodes of the sums of the inverse masses over the axes.
+
+    Args:
+        inverse: Inverse masses of nodes, three of each, flat.
+        blocks: Blocks at and above each block, eight of them.
+        b: Block.
+        x: Number of the plane in the block.
+    """
+    total = 0.0 * load(inverse, 192 * b)
+    first, plane = (8 * b, 16 * (x + 1)) if x < 3 else (8 * b + 4, 0)
+    for a in range(3):
+        o, z, y, yz = _nodes_above(inverse, 192, blocks, 8 * b, 64 * a + 16 * x)
+        p, pz, py, pyz = _nodes_above(inverse, 192, blocks, first, 64 * a + plane)
+        total = total + (((o + z) + (y + yz)) + ((p + pz) + (py + pyz)))
+    return 0.125 * total
+
+
+@always_inline
+def divergence(u, blocks, b, x):
+    """Return the divergence of the nodal velocities in the cells of a plane.
+
+    Args:
+        u: Velocities of nodes, flat.
+        blocks: Blocks at and above each block, eight of them.
+        b: Block.
+        x: Number of the plane in the block.
+    """
+    first, plane = (8 * b, 16 * (x + 1)) if x < 3 else (8 * b + 4, 0)
+    o, z, y, yz = _nodes_above(u, 192, blocks, 8 * b, 16 * x)
+    p, pz, py, pyz = _nodes_above(u, 192, blocks, first, plane)
+    total = ((p + pz) + (py + pyz)) - ((o + z) + (y + yz))
+    o, z, y, yz = _nodes_above(u, 192, blocks, 8 * b, 64 + 16 * x)
+    p, pz, py, pyz = _nodes_above(u, 192, blocks, first, 64 + plane)
+    total = total + (((y + yz) - (o + z)) + ((py + pyz) - (p + pz)))
+    o, z, y, yz = _nodes_above(u, 192, blocks, 8 * b, 128 + 16 * x)
+    p, pz, py, pyz = _nodes_above(u, 192, blocks, first, 128 + plane)
+    return 0.25 * (total + (((z + yz) - (o + y)) + ((pz + pyz) - (p + py))))
