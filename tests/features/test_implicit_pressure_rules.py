@@ -54,7 +54,8 @@ name = "push"
 wall = "bottom"
 sampling_rate = 100
 """
-BODIES, WALLS = "colliders and bodies that are held or moved", "walls other than slip and stick"
+BODIES = "bodies that are held or moved, and colliders with friction"
+WALLS = "walls other than slip and stick"
 
 
 def refusal(tmp_path, text):
@@ -66,7 +67,7 @@ def refusal(tmp_path, text):
 @pytest.mark.parametrize(
     "key, feature, text",
     [
-        ("object.post.collider", BODIES, SCENE + POST),
+        ("object.post.friction", BODIES, SCENE + POST + "friction = 0.3\n"),
         ("material.sand.kind", "materials that are no fluid", SCENE + SAND),
         ("accuracy.pressure", "several phases or densities", SCENE + OIL),
         ("probe.push.wall", "probes of forces on a wall or collider", SCENE + PROBE),
@@ -116,14 +117,14 @@ def test_defaults_and_the_bound_of_the_step(tmp_path):
     "text, is_named",
     [
         (SCENE, True),
-        (SCENE + POST, False),
+        (SCENE + POST, True),
         (SCENE.replace('kind = "fluid"', 'kind = "fluid"\nviscosity = 200'), False),
         (SCENE.replace("[accuracy]", '[accuracy]\ntransfer = "aflip"'), False),
     ],
     ids=["water", "collider", "syrup", "aflip"],
 )
 def test_a_plan_names_it_where_it_suits(tmp_path, capsys, text, is_named):
-    """Not beside colliders, nor where viscosity or the scene's own choice decides."""
+    """Not where viscosity or the scene's own choice decides."""
     path = tmp_path / "scene.toml"
     path.write_text(text.replace('pressure = "implicit"\n', ""))
     assert cli.main([str(path), "--plan"]) == 0

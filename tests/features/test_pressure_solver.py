@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from tests.support import dense_multigrid
+from tests.support.dense_multigrid import dense_values
 from tests.support.simulate import advance, begin
+from vgmpi.features.implicit_pressure.coupling import ImplicitPressure
 from vgmpi.features.implicit_pressure.pressure_solver import PressureSolver
 
 # an odd number of cells along two axes, a stick wall, water in a corner and in the air
@@ -34,19 +36,6 @@ shape = { sphere = { center = [0.26, 0.2, 0.28], radius = 0.05 } }
 """
 
 
-def dense(solver, values, size, axes=1):
-    """Numbers of the blocks on the grid of the domain, from one cell before it on."""
-    shape = [n + size for n in solver.domain]
-    grid = np.zeros((axes, *shape))
-    values = values.reshape(-1, axes, 64)[: solver.count]
-    offsets = np.stack(np.unravel_index(np.arange(64), (4, 4, 4)), 1)
-    index = 4 * solver.lattice.block[:, None] + offsets
-    inside = ((index >= 0) & (index < shape)).all(2)
-    for a in range(axes):
-        grid[a][tuple(index[inside].T)] = values[:, a][inside]
-    return grid if axes > 1 else grid[0]
-
-
 @pytest.fixture
 def recorded(tmp_path, monkeypatch):
     """Steps of the scene: (level of the twin, right-hand side, first phi, last phi, solver)."""
@@ -54,11 +43,11 @@ def recorded(tmp_path, monkeypatch):
 
     def record(self, phi):
         level = self.level
-        response = dense(self, level.inverse, 2, 3).copy()
-        system = dense_multigrid.Level(response, dense(self, level.scale, 1) > 0)
-        before = [dense(self, values, 1).copy() for values in (level.residual, phi)]
+        response = dense_values(self, level.inverse, 2, 3).copy()
+        system = dense_multigrid.Level(response, dense_values(self, level.scale, 1) > 0)
+        before = [dense_values(self, values, 1).copy() for values in (level.residual, phi)]
         solve(self, phi)
-        steps.append((system, *before, dense(self, phi, 1).copy(), self))
+        steps.append((system, *before, dense_values(self, phi, 1).copy(), self))
 
     monkeypatch.setattr(PressureSolver, "solve", record)
     simulation, _ = begin(tmp_path, SCENE)
@@ -85,3 +74,65 @@ def test_the_cycle_is_symmetric_and_positive(recorded):
     za, zb = cycle(a), cycle(b)
     assert (a * zb).sum() == pytest.approx((b * za).sum(), rel=1e-9)
     assert (a * za).sum() > 0
+
+
+PADDLE = """
+[[object]]
+name = "paddle"
+role = "scenery"
+collider = true
+shape = { box = [[0.06, 0.1, -0.2], [0.12, 0.3, 0.16]] }
+motion = { velocity = [0.2, 0.1, 0.3], angular_velocity = "30 rpm", axis = "y" }
+"""
+
+
+def free_part(distance):
+    """Part of a node that a face at a distance [cells] leaves, by quadratic splines."""
+    d = np.clip(distance, -1.5, 1.5)
+    near = 0.5 + 0.75 * d - d**3 / 3
+    return np.select([d <= -0.5, d >= 0.5], [(d + 1.5) ** 3 / 6, 1 - (1.5 - d) ** 3 / 6], near)
+
+
+def node_values(solver, rows, values, size, default=0.0):
+    """Dense grid of values (n, 64, size) that only the blocks with a row have."""
+    every = np.full((solver.count, 64, size), default)
+    every[rows >= 0] = values[rows[rows >= 0]]
+    return dense_values(solver, every.transpose(0, 2, 1).reshape(-1), 2, size)
+
+
+def test_colliders_share_nodes_as_in_numpy(tmp_path, monkeypatch):
+    """Responses and right-hand side beside a collider that moves, to 1e-12."""
+    couple_nodes, solve, steps = ImplicitPressure.couple_nodes, PressureSolver.solve, []
+
+    def record(self, nodes, span, gravity):
+        solver, rows, dx = self.solver, nodes.blocks.solid, self.plan.dx
+        velocity = node_values(
+            solver, np.arange(solver.count), nodes.velocities.reshape(-1, 64, 4), 4
+        )
+        distance = node_values(solver, rows, self.colliders.nodes, 4, np.inf)[3] / dx
+        moves = node_values(solver, rows, self.colliders.moves, 3) / dx
+        steps.append([velocity[:3] / dx, velocity[3] / self.mass_of_cell, distance, moves])
+        couple_nodes(self, nodes, span, gravity)
+
+    def record_system(self, phi):
+        fields = (self.level.inverse, 2, 3), (self.level.residual, 1), (self.level.scale, 1)
+        steps[-1] += [dense_values(self, *field).copy() for field in fields]
+        solve(self, phi)
+
+    monkeypatch.setattr(ImplicitPressure, "couple_nodes", record)
+    monkeypatch.setattr(PressureSolver, "solve", record_system)
+    text = SCENE.replace('name = "pool"', 'name = "pool"\nsubtract = true') + PADDLE
+    advance(begin(tmp_path, text)[0], 0.04)
+    for v, mass, distance, moves, inverse, right, scale in steps:
+        places = np.indices(mass.shape) - 1
+        last = np.array(mass.shape).reshape(3, 1, 1, 1) - 2
+        at_wall, south = (places == 0) | (places == last), places[1] == 0
+        wet, free = mass * 2.0 ** at_wall.sum(0), free_part(distance)
+        share = np.where(wet > 1e-9, np.where(free < 0.5, np.minimum(free, wet), free), 0)
+        is_held = (places <= 0) | (places >= last) | south
+        response = np.where(is_held | (mass <= 1e-9), 0, share**2 / np.maximum(mass, 1e-9))
+        flow = share * v + np.where(is_held | (free >= 1), 0, (1 - share) * moves)
+        expected = -dense_multigrid.divergence(flow) * (scale > 0)
+        assert (free < 0.4).any() and np.abs(expected).max() > 0
+        assert np.abs(inverse - response).max() < 1e-12 * response.max()
+        assert np.abs(right - expected).max() < 1e-12 * np.abs(expected).max()

@@ -33,12 +33,28 @@ viscosity = 0.01
 [[object]]
 name = "left"
 material = "water"
+subtract = true
 shape = { box = [[0, 0, 0], [0.14, 0.16, 0.24]] }
 [[object]]
 name = "right"
 material = "water"
 shape = { box = [[0.36, 0, 0], [0.48, 0.1, 0.2]] }
 velocity = [-0.3, 0, 0]
+subtract = true
+[[object]]
+name = "paddle"
+role = "scenery"
+collider = true
+shape = { box = [[0.2, 0.04, -0.1], [0.26, 0.12, 0.1]] }
+motion = { axis = [1, 2, 0], keyframes = [
+  { time = "60 ms", translation = [-0.03, 0, 0] },
+  { time = "155 ms", translation = [0.01, 0, 0.02], angle = "25 deg" },
+] }
+[[object]]
+name = "post"
+role = "scenery"
+collider = true
+shape = { cylinder = { endpoints = [[0.4, 0.1, -0.1], [0.4, 0.1, 0.5]], radius = 0.03 } }
 """
 
 

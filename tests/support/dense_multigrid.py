@@ -138,3 +138,16 @@ def conjugate_gradients(level, right, phi, iterations=4):
         length = now / (direction * product).sum()
         phi, residual = phi + length * direction, residual - length * product
     return phi
+
+
+def dense_values(solver, values, size, axes=1):
+    """Numbers of the blocks on the grid of the domain, from one cell before it on."""
+    shape = [n + size for n in solver.domain]
+    grid = np.zeros((axes, *shape))
+    values = values.reshape(-1, axes, 64)[: solver.count]
+    offsets = np.stack(np.unravel_index(np.arange(64), (4, 4, 4)), 1)
+    index = 4 * solver.lattice.block[:, None] + offsets
+    inside = ((index >= 0) & (index < shape)).all(2)
+    for a in range(axes):
+        grid[a][tuple(index[inside].T)] = values[:, a][inside]
+    return grid if axes > 1 else grid[0]

@@ -18,7 +18,7 @@ from vgmpi.parallel.exchange_topology import ExchangeTopology, counting_owner
 from . import pressure_system
 from .plan import DISPLACEMENT
 from .pressure_solver import PressureSolver
-from .pressure_system import pressure_fields
+from .pressure_system import INWARD_STEPS, ColliderNodes, pressure_fields
 from .pressure_transfer import PARTICLE_PRESSURE
 
 
@@ -35,7 +35,7 @@ class ImplicitPressure(ActiveFeature):
         self.mass_of_cell = group.density * plan.dx**3
         # relative pressure of a particle per potential of a cell and inverse time step
         self.stiffness = float(group.law.k) / (group.density * plan.dx**2)  # type: ignore[attr-defined]
-        self.solver = solver
+        self.solver, self.colliders = solver, context.collider_nodes
 
     def set_topology(self, tables: ExchangeTopology, census: BlockDirectory) -> None:
         """Take new tables after a sort.
@@ -57,7 +57,10 @@ class ImplicitPressure(ActiveFeature):
         self.blocks = len(tables.coordinates)
         self.fields = pressure_fields(self.blocks, real)
         self.fields.region[: 64 * self.blocks] = cells.region.reshape(-1)
-        self.beyond = (~inside).astype(real).reshape(-1)
+        self.near_colliders = np.flatnonzero(tables.solid >= 0)
+        if self.colliders is not None:  # they act on the liquid by the pressure
+            self.reserved_nodes = np.ones((len(tables.phase), 64), np.uint8)
+        self.outside = (~inside).astype(real).reshape(-1)
 
     def couple_nodes(self, nodes: NodeState, span: StepSpan, gravity: np.ndarray) -> None:
         """Change the velocities of the nodes in a step, and find the displacements.
@@ -72,29 +75,60 @@ class ImplicitPressure(ActiveFeature):
         assert exchange is not None
         velocity, pressure = nodes.velocities, nodes.fields[PARTICLE_PRESSURE].nodes
         walls, real, blocks = nodes.walls, plan.real.type, nodes.block_rows
+        colliders = self._colliders_at(nodes)
         solver.take_rows(nodes.each, nodes.call, blocks, blocks)
         solver.each(
             blocks, pressure_system.set_nodes, lattice, walls.cells, walls.kinds, velocity,
-            pressure, self.mass_of_cell, plan.dx, fields, level,
+            pressure, colliders, self.mass_of_cell, plan.dx, fields, level,
         )  # fmt: skip
         guess_scale = real(dt * self.stiffness)
         solver.each(blocks, pressure_system.set_cells, lattice, guess_scale, fields, level)
         exchange.exchange(fields.filled)
+        self._spread_inward(nodes)
         cells, wet = self._find_wet_blocks()
         exchange.exchange(fields.phi)
         solver.take_rows(nodes.each, nodes.call, cells, wet)
         solver.solve(fields.phi)
         solver.respond(fields.phi)
-        solver.each(wet, pressure_system.add_velocities, plan.dx, level, velocity)
+        solver.each(wet, pressure_system.add_velocities, plan.dx, fields, level, velocity)
         scale = real(1.0 / (dt * self.stiffness))
         solver.each(wet, pressure_system.store_node_pressure, lattice, scale, fields)
+        if len(self.near_colliders):
+            nodes.call(
+                pressure_system.stop_at_colliders, self.near_colliders, lattice, colliders,
+                plan.dx, fields, velocity,
+            )  # fmt: skip
         count = 64 * self.blocks
-        fields.cover[:count] = fields.filled[:count] + self.beyond
+        fields.cover[:count] = fields.filled[:count] + self.outside + fields.covered[:count]
         solver.each(cells, pressure_system.set_excess, lattice, fields, level)
         solver.find_moves()
         moves = nodes.gathered[DISPLACEMENT]
         moves[:] = 0
         solver.each(wet, pressure_system.store_moves, fields, level, moves)
+
+    def _colliders_at(self, nodes: NodeState) -> ColliderNodes:
+        """Return the colliders at the nodes in this step."""
+        real = self.plan.real
+        if self.colliders is None:
+            none = np.zeros((0, 64, 4), real), np.zeros((0, 64, 3), real)
+            return ColliderNodes(np.full(self.blocks, -1), *none)
+        return ColliderNodes(nodes.blocks.solid, self.colliders.nodes, self.colliders.moves)
+
+    def _spread_inward(self, nodes: NodeState) -> None:
+        """Let cells inside of colliders have pressure next to those that have it. Collective."""
+        if self.colliders is None:
+            return
+        fields, solver, count = self.fields, self.solver, 64 * self.blocks
+        assert solver.exchange is not None
+        level = solver.level
+        for _ in range(INWARD_STEPS):
+            fields.cover[:] = fields.filled <= 0
+            rows, lattice = self.near_colliders, solver.lattice
+            nodes.call(pressure_system.spread_inward, rows, lattice, fields, level)
+            solver.exchange.exchange(fields.filled)
+        is_dry = fields.filled[:count] <= 0
+        for values in (level.scale, level.residual, fields.phi):
+            values[:count][is_dry] = 0
 
     def _find_wet_blocks(self) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Return the blocks that have cells with pressure, and those next to them, by thread."""
@@ -103,5 +137,5 @@ class ImplicitPressure(ActiveFeature):
         wet[:count] = (self.fields.filled[: 64 * count].reshape(count, 64) > 0).any(1)
         reached = wet[solver.lattice.low.reshape(count, 8)].any(1)
         own = wet[:count] & (solver.level.scale[: 64 * count].reshape(count, 64) > 0).any(1)
-        shares = [np.array_split(np.flatnonzero(rows), threads) for rows in (own, reached)]
-        return shares[0], shares[1]
+        rows = [np.array_split(np.flatnonzero(marks), threads) for marks in (own, reached)]
+        return rows[0], rows[1]

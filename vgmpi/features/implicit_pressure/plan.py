@@ -138,12 +138,15 @@ def obstacles(
         _refuse(("accuracy", "pressure"), "several phases or densities")
     for k, obj in enumerate(scene.object):
         values = {
-            "collider": obj.collider, "rigid": obj.rigid, "motion": obj.motion,
+            "rigid": obj.rigid, "motion": obj.motion and not obj.collider,
+            "friction": obj.friction,
             **{key: True for feature in features() for key in feature.keys_of(obj)},
         }  # fmt: skip
         for key, value in values.items():
             if value:
-                _refuse(("object", k, key), "colliders and bodies that are held or moved")
+                _refuse(
+                    ("object", k, key), "bodies that are held or moved, and colliders with friction"
+                )
     for feature in features():
         for name in () if feature.pushes_alone else feature.lists:
             if scene.lists[name]:

@@ -48,52 +48,69 @@ class CoarseLevels:
             np.array(chebyshev_factors(sweeps), real) for sweeps in (CYCLE_SWEEPS, LAST_SWEEPS)
         )
 
-    def set_systems(self, finest: LevelFields, counted: tuple[np.ndarray, np.ndarray]) -> None:
+    def set_systems(
+        self, call: Callable, finest: LevelFields, counted: tuple[np.ndarray, np.ndarray]
+    ) -> None:
         """Set responses and cells with pressure from those of the finest level. Collective.
 
         Args:
+            call: Runs a kernel, see NodeState.
             finest: Fields of the finest level; u is lost.
             counted: 1 for cells, and for nodes, that this rank counts, else 0, flat.
         """
         blocks, level, sums, cells, nodes = self.blocks, self.level, self.response_sums, [], []
         finer, limit = finest, self.real.type(multigrid.MAX_RESPONSE)
         finer_rows = np.arange(len(finest.scale) // 64 - 1)
+        is_wet = np.any(finest.scale.reshape(-1, 64) > 0, 1)
+        has_cells = np.zeros(len(blocks.parent) + 1, bool)
         for number in range(len(blocks.first) - 1):
-            rows = np.arange(blocks.first[number], blocks.first[number + 1])
-            is_wet = (finer.scale.reshape(-1, 64) > 0).any(1)
-            multigrid.count_responses(finer_rows, counted[1], limit, finer)
-            multigrid.sum_responses(rows, blocks.children, is_wet, finer, counted[0], sums)
+            first, last = blocks.first[number], blocks.first[number + 1]
+            rows = np.arange(first, last)
+            call(multigrid.count_responses, finer_rows, counted[1], limit, finer)
+            call(multigrid.sum_responses, rows, blocks.children, is_wet, finer, counted[0], sums)
             if number == 0 and self.ranks.size > 1:
                 sums[rows] = self.ranks.sum(sums[rows].astype(np.int64))
             size = blocks.sizes[number + 1]
-            multigrid.set_responses(rows, blocks.lattice.block, size, sums, level)
-            multigrid.set_diagonal(rows, blocks.lattice, level)
-            has_cells = np.any(level.scale.reshape(-1, 64) > 0, 1)
+            call(multigrid.set_responses, rows, blocks.lattice.block, size, sums, level)
+            call(multigrid.set_diagonal, rows, blocks.lattice, level)
+            own = level.scale[64 * first : 64 * last].reshape(-1, 64)
+            has_cells[rows] = np.any(own > 0, 1)
             low = blocks.lattice.low.reshape(-1, 8)[rows]
             cells.append(rows[has_cells[rows]])
             nodes.append(rows[has_cells[low].any(1)])
-            finer, finer_rows = level, rows
+            finer, finer_rows, is_wet = level, rows, has_cells
             counted, limit = (self.ones, self.ones), self.real.type(np.inf)
         self.wet = WetRows(
             np.concatenate(cells), np.cumsum([0, *map(len, cells)]),
             np.concatenate(nodes), np.cumsum([0, *map(len, nodes)]),
         )  # fmt: skip
 
-    def find_correction(self, remainder: np.ndarray, quantum: float) -> np.ndarray:
+    def find_correction(self, call: Callable, remainder: np.ndarray, quantum: float) -> np.ndarray:
         """Return the correction of the coarse levels, flat. Collective.
 
         Args:
+            call: Runs a kernel, see NodeState.
             remainder: Whole numbers of the cells that this rank counts, flat.
             quantum: Their unit.
         """
         blocks, level, wet = self.blocks, self.level, self.wet
         rows, block = wet.cells[: wet.first_cell[1]], blocks.lattice.block
-        multigrid.restrict(rows, block, blocks.children, blocks.sizes[0], remainder, self.sums)
+        call(
+            multigrid.restrict, rows, block, blocks.children, blocks.sizes[0], remainder, self.sums
+        )
         if self.ranks.size > 1:
             self.sums[rows] = self.ranks.sum(self.sums[rows].astype(np.int64))
-        multigrid.set_residual(rows, quantum, self.sums, level)
-        multigrid.cycle(
-            wet, blocks, self.factors, self.last_factors, self.ones, quantum, self.sums, level
+        call(multigrid.set_residual, rows, quantum, self.sums, level)
+        call(
+            multigrid.cycle,
+            wet,
+            blocks,
+            self.factors,
+            self.last_factors,
+            self.ones,
+            quantum,
+            self.sums,
+            level,
         )
         return level.correction
 
@@ -243,7 +260,7 @@ class PressureSolver:
             blocks = find_coarse_blocks(self.lattice.block, self.domain, self.ranks)
             self.coarse = CoarseLevels(blocks, self.ranks, self.real)
         assert self.coarse is not None
-        self.coarse.set_systems(self.level, (self.counted, self.counted_nodes))
+        self.coarse.set_systems(self._call_kernel, self.level, (self.counted, self.counted_nodes))
         return 2.0 ** math.ceil(math.log2(magnitude)) if 0 < magnitude < math.inf else 1.0
 
     def _precondition(self, magnitude: float) -> None:
@@ -255,7 +272,7 @@ class PressureSolver:
         self.respond(level.correction)
         per_quantum = self.real.type(1.0 / quantum)
         self.each(self.cells, relaxation.find_remainder, lattice, self.counted, per_quantum, level)
-        correction = coarse.find_correction(level.remainder, quantum)
+        correction = coarse.find_correction(self._call_kernel, level.remainder, quantum)
         self.each(
             self.cells, multigrid.interpolate, lattice.block, coarse.blocks.parent_of_finest,
             coarse.blocks.sizes[0], correction, coarse.blocks.lattice, level.scale,

@@ -1,9 +1,10 @@
 """System of the implicit pressure: cells that hold liquid, and what its solution does to the nodes.
 
 Potentials phi belong to cells, velocities to nodes [cells/s]. With D the divergence of the eight
-nodes of a cell and M the masses of the nodes, relative to that of a full cell,
+nodes of a cell, M the masses of the nodes, relative to that of a full cell, and theta the share of
+a node that the liquid has, where colliders of the velocity V have the rest,
 
-    D M^-1 D^T phi = -D u,        u = u + M^-1 D^T phi
+    D theta^2 M^-1 D^T phi = -D (theta v + (1 - theta) V),        v = v + theta M^-1 D^T phi
 
 (docs/explanation/implicit-pressure.md).
 """
@@ -12,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vgmpi.kernels.grid.contact_impulses import half_space_fraction
 from vgmpi.kernels.simd.row_ops import (
     shift_from_above,
     shift_from_below,
@@ -29,6 +31,12 @@ from .kernels.cell_stencils import differences_below, divergence, mean_of_axes, 
 SURFACE_FILL = 0.5  # [-] cells that are filled less have no pressure: they are the surface
 MIN_NODE_FILL = 1e-9  # [-] lighter nodes do not respond
 MAX_MOVE = 0.3  # [cells] largest correction of a position along an axis in a step
+# [-] Cells of which colliders leave less do not say whether they are full: a few particles decide.
+# They have pressure if a neighbor has it, some times over, and no node of theirs is nearly empty.
+MIN_FREE_PART, INWARD_STEPS, EMPTY_PART = 0.3, 3, 0.1
+RESOLVED_SHARE = 0.5  # [-] where colliders leave less, liquid has no more than its volume
+# [cells] distances from a collider at which approach is stopped wholly, and not at all
+STOP_DISTANCE, FREE_DISTANCE = 0.25, 1.05
 MIN_PRESSURE, MAX_PRESSURE = -0.9, 15.0  # [-] of particles, relative to the Tait coefficient
 
 
@@ -38,9 +46,22 @@ class PressureFields(NamedTuple):
     region: np.ndarray  # 1 for the cells that this rank computes, else 0
     mass: np.ndarray  # of nodes; those on walls stand for both sides
     guess: np.ndarray  # pressure times filled share at the nodes, from particles
-    filled: np.ndarray  # filled share of cells with pressure, else 0
+    filled: np.ndarray  # filled part of what colliders leave of cells with pressure, else 0
     cover: np.ndarray  # above 0 in cells with liquid and beyond walls
     phi: np.ndarray  # potential
+    free_part: np.ndarray  # part of nodes that colliders leave
+    share: np.ndarray  # part of nodes that the liquid has
+    empty: np.ndarray  # 1 for nodes next to colliders with next to no liquid, else 0
+    excess: np.ndarray  # liquid of cells less what colliders leave
+    covered: np.ndarray  # 1 for cells of which colliders leave next to nothing, else 0
+
+
+class ColliderNodes(NamedTuple):
+    """Colliders at the nodes of blocks near them, as StaticColliders and MovingColliders do."""
+
+    row: np.ndarray  # (blocks,) row of each block, or -1
+    nodes: np.ndarray  # (n, 64, 4) outward normal and distance [m]
+    moves: np.ndarray  # (n, 64, 3) velocity [m/s], or no rows
 
 
 def pressure_fields(blocks: int, real: np.dtype) -> PressureFields:
@@ -49,7 +70,8 @@ def pressure_fields(blocks: int, real: np.dtype) -> PressureFields:
 
 
 @kernel
-def set_nodes(rows, lattice, cells, kinds, velocity, pressure, unit, dx, fields, level):
+def set_nodes(rows, lattice, cells, kinds, velocity, pressure, colliders, unit, dx,
+              fields, level):  # fmt: skip
     """Read the nodes of some blocks.
 
     Args:
@@ -60,6 +82,7 @@ def set_nodes(rows, lattice, cells, kinds, velocity, pressure, unit, dx, fields,
         velocity: Velocity [m/s] and mass [kg] of the nodes, shape (blocks, 256).
         pressure: Rest volume times relative pressure of the particles at the nodes [m3] as fourth
             number, shape (blocks, 256).
+        colliders: ColliderNodes.
         unit: Mass of a full cell [kg].
         dx: Cell size [m].
         fields: PressureFields (out).
@@ -92,6 +115,45 @@ def set_nodes(rows, lattice, cells, kinds, velocity, pressure, unit, dx, fields,
             fields.mass[64 * b + q] = images * mass if inside else zero
             guess = images * pressure[b, 4 * q + 3] * per_volume
             fields.guess[64 * b + q] = guess if inside else zero
+            fields.free_part[64 * b + q] = fields.share[64 * b + q] = unity
+            fields.empty[64 * b + q] = zero
+        if colliders.row[b] >= 0:
+            _share_nodes(b, lattice, cells, kinds, colliders, dx, fields, level)
+
+
+@always_inline
+def _share_nodes(b, lattice, cells, kinds, colliders, dx, fields, level):
+    """Share the nodes of a block between liquid and colliders."""
+    real, row = fields.mass.dtype.type, colliders.row[b]
+    for q in range(64):
+        free_part = real(1.0 - half_space_fraction(colliders.nodes[row, q, 3] / dx))
+        wet = fields.mass[64 * b + q]
+        share = min(free_part, wet) if free_part < RESOLVED_SHARE else free_part
+        if wet <= MIN_NODE_FILL:
+            share = real(0.0)
+        fields.free_part[64 * b + q], fields.share[64 * b + q] = free_part, share
+        is_empty = free_part >= RESOLVED_SHARE and wet < EMPTY_PART * free_part
+        fields.empty[64 * b + q] = real(is_empty)
+        collider_share = real(1.0) - share if free_part < 1.0 else real(0.0)
+        for a in range(3):
+            n = 192 * b + 64 * a + q
+            level.inverse[n] *= share * share
+            level.u[n] *= share
+            if len(colliders.moves) > 0 and not _is_held(b, q, a, lattice, cells, kinds):
+                level.u[n] += collider_share * real(colliders.moves[row, q, a] / dx)
+
+
+@always_inline
+def _is_held(b, q, axis, lattice, cells, kinds):
+    """Return whether a wall holds a node along an axis."""
+    for a in range(3):
+        step = q // 16 if a == 0 else (q // 4 % 4 if a == 1 else q % 4)
+        node = 4 * lattice.block[b, a] - 1 + step
+        if node <= 0 or node >= cells[a]:
+            kind = kinds[a, 0] if node <= 0 else kinds[a, 1]
+            if kind == STICK or (kind == SLIP and a == axis):
+                return True
+    return False
 
 
 @kernel
@@ -110,18 +172,30 @@ def set_cells(rows, lattice, guess_scale, fields, level):
     filled, phi = pointer(fields.filled), pointer(fields.phi)
     scale, residual = pointer(level.scale), pointer(level.residual)
     correction, remainder = pointer(level.correction), pointer(level.remainder)
+    free_part, empty = pointer(fields.free_part), pointer(fields.empty)
+    excess, covered = pointer(fields.excess), pointer(fields.covered)
     for b in rows:
         for x in range(4):
             c = 64 * b + 16 * x
-            fill = mean_of_nodes(mass, high, b, x)
+            fill, free = mean_of_nodes(mass, high, b, x), mean_of_nodes(free_part, high, b, x)
             share = 0.5 * mean_of_axes(inverse, high, b, x)
             zero = 0.0 * fill
-            holds = (fill >= zero + SURFACE_FILL) & (load(region, c) > zero) & (share > zero)
-            store(filled, c, select(holds, fill, zero))
-            store(scale, c, select(holds, 1.0 / select(holds, share, zero + 1.0), zero))
-            store(residual, c, select(holds, zero - divergence(u, high, b, x), zero))
+            is_covered = free <= zero + MIN_FREE_PART
+            relative = fill / np.maximum(free, zero + MIN_FREE_PART)
+            may_hold = (load(region, c) > zero) & (share > zero)
+            is_wet = may_hold & ~is_covered & (relative >= zero + SURFACE_FILL)
+            store(filled, c, select(is_wet, relative, zero))
+            store(excess, c, fill - free)
+            store(covered, c, select(is_covered, zero + 1.0, zero))
+            borders_air = mean_of_nodes(empty, high, b, x) > zero
+            may_hold = is_wet | (may_hold & is_covered & ~borders_air)
+            store(scale, c, select(may_hold, 1.0 / select(may_hold, share, zero + 1.0), zero))
+            store(residual, c, select(may_hold, zero - divergence(u, high, b, x), zero))
             first = guess_scale * mean_of_nodes(guess, high, b, x)
-            store(phi, c, select(holds, first, zero))
+            has_liquid = fill > zero + MIN_NODE_FILL
+            first = first * select(is_covered, 1.0 / select(has_liquid, fill, zero + 1.0),
+                                   1.0 / np.maximum(free, zero + MIN_FREE_PART))  # fmt: skip
+            store(phi, c, select(may_hold, first, zero))
             store(correction, c, zero)
             store(remainder, c, zero)
 
@@ -152,6 +226,31 @@ def _lowest_along_z(cover, neighbors, first, plane):
 
 
 @kernel
+def spread_inward(rows, lattice, fields, level):
+    """Let covered cells of some blocks have pressure if cells around them have it.
+
+    Args:
+        rows: Blocks to process, shape (n,).
+        lattice: Blocks, Lattice.
+        fields: PressureFields with 0 in `cover` at cells with pressure (in/out).
+        level: LevelFields.
+    """
+    neighbors, cover = pointer(lattice.neighbors), pointer(fields.cover)
+    filled, covered, scale = pointer(fields.filled), pointer(fields.covered), pointer(level.scale)
+    for b in rows:
+        low = _lowest_neighbors(cover, neighbors, b, -1)
+        own = _lowest_neighbors(cover, neighbors, b, 0)
+        for x in range(4):
+            c = 64 * b + 16 * x
+            high = _lowest_neighbors(cover, neighbors, b, x + 1)
+            lowest = np.minimum(own, np.minimum(low, high))
+            zero = 0.0 * lowest
+            gains = (lowest <= zero) & (load(covered, c) > zero) & (load(scale, c) > zero)
+            store(filled, c, select(gains, zero + 1.0, load(filled, c)))
+            low, own = own, high
+
+
+@kernel
 def set_excess(rows, lattice, fields, level):
     """Set the system of the correction of positions: what the cells of some blocks hold above 1.
 
@@ -168,7 +267,7 @@ def set_excess(rows, lattice, fields, level):
         pointer(fields.cover),
         pointer(fields.filled),
     )
-    residual = pointer(level.residual)
+    residual, surplus = pointer(level.residual), pointer(fields.excess)
     for b in rows:
         low = _lowest_neighbors(cover, neighbors, b, -1)
         own = _lowest_neighbors(cover, neighbors, b, 0)
@@ -178,20 +277,68 @@ def set_excess(rows, lattice, fields, level):
             lowest = np.minimum(own, np.minimum(low, high))
             fill = load(filled, c)
             zero = 0.0 * fill
-            excess = fill - 1.0
+            excess = load(surplus, c)
             excess = select(lowest > zero, excess, np.maximum(excess, zero))
             store(residual, c, select(fill > zero, excess, zero))
             low, own = own, high
 
 
 @kernel
-def add_velocities(rows, dx, level, velocity):
-    """Add u to the velocities of the nodes of some blocks [m/s], shape (blocks, 256) (in/out)."""
+def add_velocities(rows, dx, fields, level, velocity):
+    """Add what u is for the liquid to the velocities of the nodes of some blocks.
+
+    Args:
+        rows: Blocks to process, shape (n,).
+        dx: Cell size [m].
+        fields: PressureFields.
+        level: LevelFields with responses to the potential in u.
+        velocity: Velocities [m/s], shape (blocks, 256) (in/out).
+    """
     size = level.u.dtype.type(dx)
     for b in rows:
         for q in range(64):
+            share = fields.share[64 * b + q]
+            per_share = size / share if share > 0 else size
             for a in range(3):
-                velocity[b, 4 * q + a] += size * level.u[192 * b + 64 * a + q]
+                velocity[b, 4 * q + a] += per_share * level.u[192 * b + 64 * a + q]
+
+
+@kernel
+def stop_at_colliders(rows, lattice, colliders, dx, fields, velocity):
+    """Stop the approach of nodes to colliders where no cell around them has pressure.
+
+    Args:
+        rows: Blocks to process, shape (n,).
+        lattice: Blocks, Lattice.
+        colliders: ColliderNodes.
+        dx: Cell size [m].
+        fields: PressureFields; `cover` is lost.
+        velocity: Velocities [m/s], shape (blocks, 256) (in/out).
+    """
+    low, filled, wet = pointer(lattice.low), pointer(fields.filled), pointer(fields.cover)
+    for b in rows:
+        row = colliders.row[b]
+        if row < 0:
+            continue
+        before, _, _ = differences_below(filled, low, 8 * b + 4, 48)
+        for x in range(4):
+            after, _, _ = differences_below(filled, low, 8 * b, 16 * x)
+            store(wet, 64 * b + 16 * x, before + after)
+            before = after
+        for q in range(64):
+            distance = colliders.nodes[row, q, 3] / dx
+            if fields.cover[64 * b + q] > 0 or not distance < FREE_DISTANCE:
+                continue
+            approach = 0.0
+            for a in range(3):
+                speed = float(velocity[b, 4 * q + a])
+                if len(colliders.moves) > 0:
+                    speed -= colliders.moves[row, q, a]
+                approach -= speed * colliders.nodes[row, q, a]
+            part = min((FREE_DISTANCE - distance) / (FREE_DISTANCE - STOP_DISTANCE), 1.0)
+            for a in range(3):
+                change = part * max(approach, 0.0) * colliders.nodes[row, q, a]
+                velocity[b, 4 * q + a] += velocity.dtype.type(change)
 
 
 @kernel
@@ -233,7 +380,9 @@ def store_moves(rows, fields, level, moves):
     limit = level.u.dtype.type(MAX_MOVE)
     for b in rows:
         for q in range(64):
+            share = fields.share[64 * b + q]
+            per_share = 1 / share if share > 0 else limit / limit
             for a in range(3):
-                move = level.u[192 * b + 64 * a + q]
+                move = per_share * level.u[192 * b + 64 * a + q]
                 moves[b, 4 * q + a] = min(max(move, -limit), limit)
             moves[b, 4 * q + 3] = fields.guess[64 * b + q]

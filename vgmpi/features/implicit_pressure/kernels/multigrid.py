@@ -78,19 +78,19 @@ def sum_responses(rows, children, wet, finer, counted, sums):
             continue
         for x in range(9):  # from one before the block
             for y in range(9):
-                for z in range(9):
-                    line = 64 * b + 16 * ((x + 3) // 4) + 4 * ((y + 3) // 4) + (z + 3) // 4
-                    block, node = (
-                        children[line],
-                        16 * ((x + 3) % 4) + 4 * ((y + 3) % 4) + (z + 3) % 4,
-                    )
-                    c, n = 64 * block + node, 192 * block + node
-                    cells[x, y, z] = counted[c] if finer.scale[c] > 0 else 0.0
-                    total = 0.0
-                    for a in range(3):
-                        nodes[a, x, y, z] = finer.u[n + 64 * a]
-                        total += finer.u[n + 64 * a]
-                    nodes[3, x, y, z] = 1.0 if total > 0.0 else 0.0
+                line = 64 * b + 16 * ((x + 3) // 4) + 4 * ((y + 3) // 4)
+                column_of_cells = 16 * ((x + 3) % 4) + 4 * ((y + 3) % 4)
+                for n in range(3):
+                    block = children[line + n]
+                    for k in range(0 if n else 3, 4):
+                        c, z = 64 * block + column_of_cells + k, 4 * n + k - 3
+                        u = 192 * block + column_of_cells + k
+                        cells[x, y, z] = counted[c] if finer.scale[c] > 0 else 0.0
+                        total = 0.0
+                        for a in range(3):
+                            nodes[a, x, y, z] = finer.u[u + 64 * a]
+                            total += finer.u[u + 64 * a]
+                        nodes[3, x, y, z] = 1.0 if total > 0.0 else 0.0
         for i in range(4):
             for a in range(4):
                 part, full = partial[a, i], nodes[a]
