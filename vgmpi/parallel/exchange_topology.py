@@ -65,10 +65,10 @@ class ExchangeTopology(NamedTuple):
 class StressProximity(NamedTuple):
     """Phases near which fluids sum stress impulses separately from momentum."""
 
-    shares: np.ndarray  # (phases, phases) bool, True if the pair shares space
+    share_space: np.ndarray  # (phases, phases) bool, True if the pair shares space
     contact: np.ndarray  # (phases, phases) bool, True if the pair needs volumes and offsets
     fluid: np.ndarray  # (phases,) bool
-    every: bool  # True: separately everywhere, for all phases
+    everywhere: bool  # True: separately everywhere, for all phases
 
 
 class FieldPlace(NamedTuple):
@@ -154,7 +154,7 @@ class _Box:
         return np.stack(np.unravel_index(index, self.shape), 1) + self.low
 
     @property
-    def every(self) -> np.ndarray:
+    def all_blocks(self) -> np.ndarray:
         """All blocks of the box, shape (n, 3)."""
         return self.block(np.arange(int(np.prod(self.shape))))
 
@@ -342,11 +342,13 @@ def _who_contributes(
     elif needs.separates_stress:
         separate = needs.separates_stress
         close = _close(box, index, phase, int(needs.phase_of.max()) + 1)[:, index]
-        sharing = (separate.shares[phase].T & close).any(0) & separate.fluid[phase]
-        contributes["impulses"] = sharing | separate.every
+        sharing = (separate.share_space[phase].T & close).any(0) & separate.fluid[phase]
+        contributes["impulses"] = sharing | separate.everywhere
         wanted &= (separate.contact[phase].T & close).any(0) | near_solid
     if needs.planes:
-        close_by = box.combine_with_neighbors(_at_plane(box.every, needs), np.logical_or)[index]
+        close_by = box.combine_with_neighbors(_at_plane(box.all_blocks, needs), np.logical_or)[
+            index
+        ]
         wanted = wanted | (close_by & needs.surface[phase])
     contributes["offsets"] = wanted
     at_solids = wanted & needs.in_contact[phase] if needs.in_contact.any() else ~every
@@ -387,7 +389,7 @@ def _at_plane(block: np.ndarray, needs: TopologyRequirements) -> np.ndarray:
 
 def _by_solid(box, solid) -> np.ndarray:
     """Return True for each block of the box that is at most one block from the collider."""
-    return box.combine_with_neighbors(solid(box.every) >= 0, np.logical_or)
+    return box.combine_with_neighbors(solid(box.all_blocks) >= 0, np.logical_or)
 
 
 def _empty_topology(needs: TopologyRequirements) -> ExchangeTopology:

@@ -211,7 +211,7 @@ class Plan:
         """Number of particles of all objects and particle sources."""
         return sum(self.count)
 
-    def ahead(self, now: float) -> np.ndarray:
+    def remaining_times(self, now: float) -> np.ndarray:
         """Return the times [s] of the frames that a run at time `now` [s] has yet to write."""
         return self.times[self.times > now + 1e-6 * (self.times[1] - self.times[0])]
 

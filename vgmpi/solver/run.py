@@ -269,7 +269,7 @@ def _times(plan: Plan, frame: int, now: float) -> np.ndarray:
     """Return the times of all frames of a run that is at `now` [s] before frame number `frame`."""
     if frame == 0:
         return plan.times
-    return np.concatenate([np.full(frame, now), plan.ahead(now)])
+    return np.concatenate([np.full(frame, now), plan.remaining_times(now)])
 
 
 @contextlib.contextmanager

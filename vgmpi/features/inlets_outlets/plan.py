@@ -45,7 +45,7 @@ class InletPlan(NamedTuple):
     direction: tuple[float, float, float]  # unit vector
     speed: float  # [m/s]
     spacing: float  # [m] along the columns
-    ahead: int  # number of layers in the nozzle
+    nozzle_layers: int  # number of layers in the nozzle
     particles: int  # number of particles that ever come
     start: float  # [s]
     early: float  # [s] from the release of a particle until it passes the mouth
@@ -72,7 +72,7 @@ class InletPlan(NamedTuple):
 
     def spawn_time(self, number):
         """Return the times at which particles are spawned [s]: their layer fits into the nozzle."""
-        return self.start + (number // len(self.mouth) + 1 - self.ahead) * self.period
+        return self.start + (number // len(self.mouth) + 1 - self.nozzle_layers) * self.period
 
     def release_time(self, number):
         """Return the times at which particles are released [s]; from then on they move freely."""

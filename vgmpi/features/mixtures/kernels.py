@@ -327,7 +327,7 @@ def _drag_coefficients(count, c, fluid, grains, work, dt):
             exchange = 0.0 * fluid
             if strength > 0.0:
                 sand, water = (b, a) if work.wet[a] else (a, b)
-                Vs, Vw, n = load(work.V, ROW * sand), load(work.V, ROW * water), work.pores[sand]
+                Vs, Vw, n = load(work.V, ROW * sand), load(work.V, ROW * water), work.porosity[sand]
                 bulk = Vs / broadcast(work.V, 1.0 - n) * (Vw / fluid)
                 wet = Vw / broadcast(work.V, n) * (Vs / grains)
                 exchange = broadcast(work.V, dt * strength) * np.minimum(bulk, wet)

@@ -23,7 +23,7 @@ class MixtureWorkspace(NamedTuple):
     wet: np.ndarray  # (n,) 1 if it is a fluid
     group: np.ndarray  # (n,) its mixing group, or -1
     grains: np.ndarray  # (n,) [m3/kg] specific volume of a sand's grains
-    pores: np.ndarray  # (n,) porosity of a sand
+    porosity: np.ndarray  # (n,) porosity of a sand
     drag: np.ndarray  # (n n,) [kg/(m3 s)] drag coefficients
     printed: np.ndarray  # (n n,) 1 if the drag is as published
     M: np.ndarray  # (16 n,) [kg] masses, a row of four nodes per member
@@ -84,7 +84,7 @@ def to_pointers(workspace, tables):
     """Return workspace and tables with pointers in place of arrays (vector16.pointer)."""
     r, t = workspace, tables
     return MixtureWorkspace(
-        pointer(r.block), pointer(r.wet), pointer(r.group), pointer(r.grains), pointer(r.pores),
+        pointer(r.block), pointer(r.wet), pointer(r.group), pointer(r.grains), pointer(r.porosity),
         pointer(r.drag), pointer(r.printed), pointer(r.M), pointer(r.V), pointer(r.U), pointer(r.K),
         pointer(r.S), pointer(r.R),
     ), MixtureTables(
@@ -112,7 +112,7 @@ def collect_members(set_index, n0, n1, phase, rules, work):
         p = phase[nb]
         if rules.mixture_set[p] == set_index:
             work.block[count], work.wet[count], work.group[count] = nb, rules.fluid[p], rules.mix[p]
-            work.grains[count], work.pores[count] = rules.volume[p], rules.porosity[p]
+            work.grains[count], work.porosity[count] = rules.volume[p], rules.porosity[p]
             count += 1
     for a in range(count if count > 1 else 0):
         for b in range(count):

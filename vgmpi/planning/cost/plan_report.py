@@ -119,7 +119,7 @@ def _steps(
     end, frames = float(plan.times[-1]), len(plan.times)
     left, span = end, f"{end:g} s and {frames} frames"
     if reached > 0:
-        left, frames = max(end - reached, 0.0), len(plan.ahead(reached))
+        left, frames = max(end - reached, 0.0), len(plan.remaining_times(reached))
         span = f"{left:.4g} of {end:g} s and {frames} of {len(plan.times)} frames"
     few, many = (step_count(plan, d, end - left) for d in (dt, min_dt))
     if few > MOTION_STEP_MARGIN * left / dt:

@@ -20,7 +20,7 @@ class ReactionSums:
         self.sums = np.zeros((rows, NUMBERS))
         self.mass: dict[tuple, np.ndarray] = {}  # (phase, axis, wall) -> own mass beyond
 
-    def shares(self, dt: float) -> tuple[float, float]:
+    def mirror_shares(self, dt: float) -> tuple[float, float]:
         """Return how much of the mirror's change of momentum and of velocity reaches particles.
 
         dt: length of the step [s], 0 for a step of no time.

@@ -138,7 +138,7 @@ class Numpy(SurfaceNodes):
         self.correction = correction
         self.dt, self.gravity, self.mirrors, self.change_share = dt, gravity, 1.0, 0.0
         if self.sums is not None:
-            self.mirrors, self.change_share = self.sums.shares(dt)
+            self.mirrors, self.change_share = self.sums.mirror_shares(dt)
 
     def pack(self, part: FieldMessage) -> None:
         """Raise an error: there are no other ranks."""
