@@ -11,6 +11,7 @@ from vgmpi.planning.plan import make_plan
 from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.runtime.config.schema import SceneError
 from vgmpi.scene.loader import load
+from vgmpi.solver.diagnostics.liquid_fill import liquid_phases
 from vgmpi.solver.engines.cpu import Cpu
 
 BALL = 'name = "ball"\n'
@@ -285,3 +286,30 @@ def test_an_open_wall_does_not_vanish(tmp_path):
         scene(tmp_path, GATE.replace('kind = "slip", removal', 'kind = "open", removal'))
     said = 'domain.boundary.east: removal_time is not for kind = "open": it is from the start on'
     assert any(said in line for line in caught.value.lines), caught.value.lines
+
+
+def test_a_frozen_fluid_shares_space_with_nothing(tmp_path):
+    """It mixes once it is released; the ledger counts its volume from the start."""
+    text = """
+[accuracy]
+precision = "double"
+[domain]
+size = [0.16, 0.16, 0.16]
+cell = 0.02
+[time]
+end = 0.01
+[[coupling]]
+between = ["ale", "beer"]
+kind = "mixing"
+diffusivity = 1e-6
+"""
+    for k, name in enumerate(("ale", "beer")):
+        text += f'[material.{name}]\nkind = "fluid"\ntait_coefficient = 1e4\n'
+        text += f'[[object]]\nname = "{name}"\nmaterial = "{name}"\nphase = "{name}"\n'
+        text += f"shape = {{ box = [[0, 0, {0.04 * k}], [0.16, 0.16, {0.04 * k + 0.04}]] }}\n"
+    simulation, _ = begin(tmp_path, text + 'release_time = "5 ms"\n')
+    groups = simulation.plan.groups
+    assert [group.shares_space for group in groups if not group.driven] == [True, True]
+    (frozen,) = (group for group in groups if group.driven)
+    assert not frozen.shares_space
+    assert frozen.phase in liquid_phases(simulation.plan)

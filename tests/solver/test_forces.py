@@ -298,7 +298,7 @@ def test_nobody_asks_nothing_is_there(tmp_path):
         path = checkpoint.latest_valid(tmp_path / str(k) / "checkpoints")
         with checkpoint.open(path) as saved:
             kept.append(saved.attrs)
-    assert "reactions" in kept[0] and "reactions" not in kept[1]
+    assert "given" in kept[0] and "given" not in kept[1]
     assert [set(probe) for probe in kept[1]["scene"]["probe"]] == [
         {"name", "sampling_interval", "wall"}
     ]

@@ -313,7 +313,9 @@ class PlanDraft(NamedTuple):
 def plan_features(draft: PlanDraft, prepared: Mapping[str, Any], precede_copies: bool) -> PlanDraft:
     """Return the draft with the plans of features that a scene has, and their changes.
 
-    Features that move whole bodies to groups of their own come first.
+    Features plan in three rounds: those that change groups which others copy (one call, before the
+    corrections of transfers are added), then those that move whole bodies to groups of their own,
+    then the rest. Each round has the order of the list.
 
     Args:
         draft: Phases and groups without these features.

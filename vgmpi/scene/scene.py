@@ -48,10 +48,11 @@ class Scene:
     source: TomlSource | None = field(default=None, repr=False, compare=False)
 
     def __repr__(self) -> str:
-        bodies = sum(obj.role == "body" for obj in self.object)
+        bodies, sources = sum(obj.role == "body" for obj in self.object), len(self.particle_sources)
+        inflow = f", {sources} inlets" if sources else ""
         nx, ny, nz = self.domain.cells
         return (
-            f"<Scene {self.title or self.path.name!r}: {bodies} bodies,"
+            f"<Scene {self.title or self.path.name!r}: {bodies} bodies{inflow},"
             f" {nx} x {ny} x {nz} cells, {self.time.end:g} s>"
         )
 

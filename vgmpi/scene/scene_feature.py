@@ -20,8 +20,8 @@ from vgmpi.runtime.config.schema import Color, Share, StrictModel
 from .objects import Object, checked_name, default_alpha_min, per_cell
 from .sections import SECTIONS
 
-# In the order in which they act, and plan but for `moves_bodies`. It numbers groups and orders
-# sums: part of the results.
+# In the order in which they act, and plan in three rounds (`plan_features`). It numbers groups and
+# orders sums: part of the results.
 FEATURES = (
     "mixtures", "color_transfer", "flip",
     "wave_zones", "loads", "moving_colliders", "implicit_pressure", "surface_slip", "pinned_parts",

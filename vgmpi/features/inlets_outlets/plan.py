@@ -1,6 +1,6 @@
 """Plan of inlets and outlets: inlets by times and ids alone, regions of outlets, costs, reports.
 
-The particles of an inlet (scene/geometry.py) are numbered as they pass the mouth, one by one
+The particles of an inlet (geometry.py) are numbered as they pass the mouth, one by one
 at equal intervals. A layer of them, one per column, is spawned at once at the far end of the
 nozzle. Each particle is carried along, released, and passes the mouth at its own time.
 """

@@ -112,7 +112,7 @@ def plan_prescribed_motion(
         released, first = draft.group_of[rows[0]], draft.scene.object[rows[0]]
         own = draft.groups[released]._replace(
             name=f"{name}/{first.material}", phase=number[name], separates_stress=False,
-            driven=True,
+            shares_space=False, driven=True,
         )  # fmt: skip
         boxes = [extents[k] for k in rows if k in extents]
         layers, course, radius = _layers(first, boxes, draft.scene.domain.cell), None, 0.0

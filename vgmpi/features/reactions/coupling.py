@@ -104,7 +104,7 @@ class Reactions(ActiveFeature):
 
     def saved(self) -> dict:
         """Return the reactions and the bound of the mass."""
-        return {"reactions": {"mass": self.mass, "totals": self.totals.tolist()}}
+        return {"given": {"mass": self.mass, "totals": self.totals.tolist()}}
 
     def restore(self, saved: Checkpoint) -> None:
         """Restore a saved state if it has the same number of rows.
@@ -116,7 +116,7 @@ class Reactions(ActiveFeature):
             Mismatch: The saved state is impossible.
         """
         self.begin_run(ParticleBounds())
-        state: Any = saved.attrs.get("reactions", {"mass": 0.0, "totals": []})
+        state: Any = saved.attrs.get("given", {"mass": 0.0, "totals": []})
         is_valid = (
             isinstance(state, dict)
             and is_number(state.get("mass"))

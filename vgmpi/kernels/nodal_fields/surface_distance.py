@@ -1,7 +1,7 @@
 """Nodal volumes and offsets, from which contact and couplings get surfaces and volume gradients.
 
 The field holds volumes V [m3] and offsets V (x_p - x_i) [m4] (contact.py,
-kernels/grid/mixture_coupling.py). For a solid
+features/mixtures/kernels.py). For a solid
 with a resolved surface it holds mass times the normal at the node m (n + K (x_i - x_p)) [kg], and
 mass times the node's distance m (d + n . (x_i - x_p)) [kg m] instead. Both are those of the current
 surface: n along F^-T n0, K along F^-T K0 F^-1, the distance shorter by the length of F^-T n0. K

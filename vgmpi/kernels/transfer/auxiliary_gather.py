@@ -224,7 +224,7 @@ def _(kind, count, weights, records, base, real, extra):
 
 @particle_velocity.register(Both)
 def _(kind, f, p, cap, extra, n, v):
-    """Store the velocity as the second kind does."""
+    """Store the velocity as the second kind does: at most one feature blends velocities."""
     particle_velocity(kind.second, f, p, cap, extra, n, v)
 
 

@@ -131,7 +131,7 @@ class Copies:
         return map_tuple(value, self.on_device) if isinstance(value, tuple) else value
 
     def add(self, values: tuple) -> None:
-        """Copy arrays, and those of tuples, with one copy, for `of` to return."""
+        """Copy arrays, and those of tuples, with one copy, for `on_device` to return."""
         arrays: dict[int, np.ndarray] = {}
         _collect(values, arrays)
         missing = [array for key, array in arrays.items() if key not in self.by_id]

@@ -251,7 +251,7 @@ def update(
         blocks: Node blocks to process.
         tables: Table of node blocks.
         summed, shear, separate: Nodal fields (in/out).
-        pair_rules, walls, phases, solids: Interaction pair_rules, walls, phases and rigid bodies.
+        pair_rules, walls, phases, solids: Interaction rules, walls, phases and rigid bodies.
         reactions: Reaction sums, or None.
         step, report: Constants of the step, and overflow report (in/out).
     """
@@ -281,7 +281,7 @@ def update_apart(
         blocks: Node blocks to process.
         tables: Table of node blocks.
         summed, shear, separate: Nodal fields (in/out).
-        pair_rules, walls, phases, solids: Interaction pair_rules, walls, phases and rigid bodies.
+        pair_rules, walls, phases, solids: Interaction rules, walls, phases and rigid bodies.
         reactions: Reaction sums, or None.
         step, report: Constants of the step, and overflow report (in/out).
     """
