@@ -129,6 +129,7 @@ def test_colliders_share_nodes_as_in_numpy(tmp_path, monkeypatch):
         at_wall, south = (places == 0) | (places == last), places[1] == 0
         wet, free = mass * 2.0 ** at_wall.sum(0), free_part(distance)
         share = np.where(wet > 1e-9, np.where(free < 0.5, np.minimum(free, wet), free), 0)
+        share = np.where(share < 1e-3, 0, share)
         is_held = (places <= 0) | (places >= last) | south
         response = np.where(is_held | (mass <= 1e-9), 0, share**2 / np.maximum(mass, 1e-9))
         flow = share * v + np.where(is_held | (free >= 1), 0, (1 - share) * moves)

@@ -95,8 +95,8 @@ class ImplicitPressure(ActiveFeature):
         solver.each(wet, pressure_system.store_node_pressure, lattice, scale, fields)
         if len(self.near_colliders):
             nodes.call(
-                pressure_system.stop_at_colliders, self.near_colliders, lattice, colliders,
-                plan.dx, fields, velocity,
+                pressure_system.stop_at_colliders, self.near_colliders, lattice, walls.cells,
+                walls.kinds, colliders, plan.dx, fields, velocity,
             )  # fmt: skip
         count = 64 * self.blocks
         fields.cover[:count] = fields.filled[:count] + self.outside + fields.covered[:count]

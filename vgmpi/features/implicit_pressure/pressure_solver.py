@@ -28,6 +28,7 @@ ITERATIONS = 4
 CYCLE_SWEEPS, LAST_SWEEPS = Sweeps(3, 0.3), Sweeps(16, 0.02)
 POSITION_SWEEPS = Sweeps(10, 0.1)
 REST_BITS = 40  # binary digits of the largest residual that the coarse levels take
+MIN_EXPONENT = -60  # of the largest residual: smaller ones are nothing
 PRODUCT_BITS, SECOND_BITS = 20, 40  # of a product, in units, and of what rounding leaves
 # With fewer blocks, one thread sweeps faster than two that wait for each other at every sweep: two
 # save about 6 us per block and step, and wait 4.8 ms (vgmpi bench board --only dam_break splash).
@@ -261,7 +262,9 @@ class PressureSolver:
             self.coarse = CoarseLevels(blocks, self.ranks, self.real)
         assert self.coarse is not None
         self.coarse.set_systems(self._call_kernel, self.level, (self.counted, self.counted_nodes))
-        return 2.0 ** math.ceil(math.log2(magnitude)) if 0 < magnitude < math.inf else 1.0
+        if not 0 < magnitude < math.inf:
+            return 1.0
+        return 2.0 ** max(math.ceil(math.log2(magnitude)), MIN_EXPONENT)
 
     def _precondition(self, magnitude: float) -> None:
         """Set the correction to a multigrid cycle of the residual. Collective."""
@@ -288,4 +291,4 @@ class PressureSolver:
         rows = np.concatenate(self.cells)
         self._call_kernel(relaxation.sum_products, rows, a, b, self.counted, 1.0 / unit, sums)
         first, second = self.ranks.sum(sums).tolist()
-        return (first + second * 2.0**-SECOND_BITS) * unit
+        return ((first << SECOND_BITS) + second) * 2.0**-SECOND_BITS * unit

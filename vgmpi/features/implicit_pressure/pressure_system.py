@@ -34,6 +34,7 @@ MAX_MOVE = 0.3  # [cells] largest correction of a position along an axis in a st
 # [-] Cells of which colliders leave less do not say whether they are full: a few particles decide.
 # They have pressure if a neighbor has it, some times over, and no node of theirs is nearly empty.
 MIN_FREE_PART, INWARD_STEPS, EMPTY_PART = 0.3, 3, 0.1
+MIN_SHARE = 1e-3  # [-] liquid that has less of a node does not respond: its velocity would be vast
 RESOLVED_SHARE = 0.5  # [-] where colliders leave less, liquid has no more than its volume
 # [cells] distances from a collider at which approach is stopped wholly, and not at all
 STOP_DISTANCE, FREE_DISTANCE = 0.25, 1.05
@@ -129,7 +130,7 @@ def _share_nodes(b, lattice, cells, kinds, colliders, dx, fields, level):
         free_part = real(1.0 - half_space_fraction(colliders.nodes[row, q, 3] / dx))
         wet = fields.mass[64 * b + q]
         share = min(free_part, wet) if free_part < RESOLVED_SHARE else free_part
-        if wet <= MIN_NODE_FILL:
+        if wet <= MIN_NODE_FILL or share < MIN_SHARE:
             share = real(0.0)
         fields.free_part[64 * b + q], fields.share[64 * b + q] = free_part, share
         is_empty = free_part >= RESOLVED_SHARE and wet < EMPTY_PART * free_part
@@ -304,12 +305,13 @@ def add_velocities(rows, dx, fields, level, velocity):
 
 
 @kernel
-def stop_at_colliders(rows, lattice, colliders, dx, fields, velocity):
+def stop_at_colliders(rows, lattice, cells, kinds, colliders, dx, fields, velocity):
     """Stop the approach of nodes to colliders where no cell around them has pressure.
 
     Args:
         rows: Blocks to process, shape (n,).
         lattice: Blocks, Lattice.
+        cells, kinds: Cells of the domain, and kinds of its walls, which hold their nodes.
         colliders: ColliderNodes.
         dx: Cell size [m].
         fields: PressureFields; `cover` is lost.
@@ -337,6 +339,8 @@ def stop_at_colliders(rows, lattice, colliders, dx, fields, velocity):
                 approach -= speed * colliders.nodes[row, q, a]
             part = min((FREE_DISTANCE - distance) / (FREE_DISTANCE - STOP_DISTANCE), 1.0)
             for a in range(3):
+                if _is_held(b, q, a, lattice, cells, kinds):
+                    continue
                 change = part * max(approach, 0.0) * colliders.nodes[row, q, a]
                 velocity[b, 4 * q + a] += velocity.dtype.type(change)
 

@@ -211,4 +211,6 @@ def sum_products(rows, a, b, counted, per_unit, sums):
         first += np.int64(lanes.sum())
         store(lanes, 0, part)
         second += np.int64(lanes.sum())
+        first += second >> 40  # whole units, so that no number of blocks is too many
+        second &= (1 << 40) - 1
     sums[0], sums[1] = first, second
