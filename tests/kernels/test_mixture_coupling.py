@@ -19,7 +19,7 @@ from vgmpi.features.mixtures.kernels import (
 )
 from vgmpi.features.mixtures.rules import InteractionRules
 from vgmpi.features.mixtures.workspace import mixture_tables, mixture_workspace, to_pointers
-from vgmpi.kernels.kernel_arguments import BlockContext
+from vgmpi.kernels.kernel_arguments import BlockContext, NodalFields
 from vgmpi.kernels.simd.vector16 import load, pointer
 from vgmpi.runtime.aligned_arrays import aligned_zeros
 from vgmpi.runtime.jit import kernel
@@ -33,11 +33,11 @@ def solve(n, phase, grid, forces, offsets, cells, least, room, rules, dt, dx, dr
     """A block far from walls in which all n phases are."""
     of, rules = to_pointers(room, rules)
     here = BlockContext(0, n, True, False, 9, 9, 9)
-    fields = MixtureFields(
+    nodes = NodalFields(
         pointer(phase), pointer(least), pointer(cells), pointer(grid), pointer(forces),
         pointer(offsets),
-        pointer(drift), pointer(drift),
     )  # fmt: skip
+    fields = MixtureFields(nodes, pointer(drift), pointer(drift))
     couple_block(here, fields, of, rules, dt, dx)
 
 

@@ -174,7 +174,7 @@ class PressureSolver:
         assert self.exchange is not None
         if len(cells) == 1 or sum(map(len, cells)) < SHARED_BLOCKS:
             cells, nodes = [np.concatenate(cells)], [np.concatenate(nodes)]
-        self.cells, self.nodes = cells, nodes
+        self.cells, self.nodes, self.all_cells = cells, nodes, np.concatenate(cells)
         self.is_alone = len(cells) == 1 and not self.exchange.has_neighbors
 
     def each(self, rows: Sequence[np.ndarray], kernel, *arguments) -> None:
@@ -288,7 +288,8 @@ class PressureSolver:
         """Return the sum of the products of the numbers of all cells of all ranks."""
         sums = np.zeros(2, np.int64)
         unit = (magnitude * magnitude) * 2.0**-PRODUCT_BITS
-        rows = np.concatenate(self.cells)
-        self._call_kernel(relaxation.sum_products, rows, a, b, self.counted, 1.0 / unit, sums)
+        self._call_kernel(
+            relaxation.sum_products, self.all_cells, a, b, self.counted, 1.0 / unit, sums
+        )
         first, second = self.ranks.sum(sums).tolist()
         return ((first << SECOND_BITS) + second) * 2.0**-SECOND_BITS * unit

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vgmpi.kernels.grid.node_stages import after_stress, after_walls, before_stress
-from vgmpi.kernels.kernel_arguments import NODE_MASS_FLOOR
+from vgmpi.kernels.kernel_arguments import NODE_MASS_FLOOR, NodalFields
 from vgmpi.kernels.simd.cooperative import flat_pointer, strided_range, sync_threads
 from vgmpi.kernels.simd.row_ops import broadcast, fourth_of, horizontal_max, squared, with_fourth
 from vgmpi.kernels.simd.vector16 import load, store
@@ -41,23 +41,15 @@ class MixtureStage(NamedTuple):
 class MixtureFields(NamedTuple):
     """Nodal arrays of a block's mixtures, as pointers to their data."""
 
-    phase: np.ndarray  # (node blocks,) phase of each
-    min_cell_mass: np.ndarray  # (phases,) [kg] mass of a full cell
-    cells: np.ndarray  # (3,) cells of the domain
-    grid: np.ndarray  # (256 node blocks,) velocity [m/s] and mass [kg]
-    forces: np.ndarray  # same shape: separate impulses [kg m/s] and volume [m3]
-    offsets: np.ndarray  # same shape: offsets [m4] and volume [m3], if the block's phases may touch
-    flux: np.ndarray  # same shape: volume flux [m/s] and fluid fraction, which particles gather
+    nodes: NodalFields
+    flux: np.ndarray  # (256 node blocks,) volume flux [m/s] and fluid fraction, which is gathered
     drift: np.ndarray  # same shape: drifts [m/s]
 
 
 @device_function
 def _with_mixtures(kind, fields):
     """Return the nodal arrays with those of the mixtures."""
-    return MixtureFields(
-        fields.phase, fields.min_cell_mass, fields.cells, fields.grid, fields.forces,
-        fields.offsets, flat_pointer(kind.flux), flat_pointer(kind.drift),
-    )  # fmt: skip
+    return MixtureFields(fields, flat_pointer(kind.flux), flat_pointer(kind.drift))
 
 
 @before_stress.register(MixtureStage)
@@ -104,18 +96,18 @@ def couple_block(block, fields, work, rules, dt, dx):
         dt: Time step [s].
         dx: Cell size [m].
     """
-    n0, n1, grid, forces = block.n0, block.n1, fields.grid, fields.forces
+    n0, n1, grid, forces = block.n0, block.n1, fields.nodes.grid, fields.nodes.forces
     for offset in range(256 * n0, 256 * n1 if rules.drifts else 0, ROW):
         store(fields.drift, offset, broadcast(work.V, 0.0))
     for set_index in range(rules.sets):
-        count = collect_members(set_index, n0, n1, fields.phase, rules, work)
+        count = collect_members(set_index, n0, n1, fields.nodes.phase, rules, work)
         for c in range(0, 256 if count > 0 else 0, ROW):
             phase_count = load_masses(count, c, fields, work)
             if horizontal_max(phase_count) < 2.0:
                 _alone(count, c, grid, forces, work)
                 continue
             shared = phase_count > 1.0
-            available_volume(count, c, block, fields.cells, dx, work)
+            available_volume(count, c, block, fields.nodes.cells, dx, work)
             fluid, grains, share = volumes(count, c, forces, work)
             for g in range(rules.mixing_group_count):
                 if rules.printed_mix[g] > 0.0:
@@ -190,8 +182,10 @@ def load_masses(count, c, fields, work):
     phase_count = broadcast(work.M, 0.0)
     for q in range(count):
         nb = work.block[q]
-        m = fourth_of(load(fields.grid, 256 * nb + c))
-        tiny = broadcast(work.M, NODE_MASS_FLOOR * fields.min_cell_mass[fields.phase[nb]])
+        m = fourth_of(load(fields.nodes.grid, 256 * nb + c))
+        tiny = broadcast(
+            work.M, NODE_MASS_FLOOR * fields.nodes.min_cell_mass[fields.nodes.phase[nb]]
+        )
         m = select(m > tiny, m, 0.0)
         store(work.M, ROW * q, m)
         phase_count = phase_count + select(m > 0.0, 1.0, 0.0 * m)
@@ -254,7 +248,7 @@ def _relax_slip(g, count, c, shared, fields, work, diffusion, slip_factor, sign,
     References:
         Ren et al. 2014 (mixture model).
     """
-    fluid_count, grid = 0, fields.grid
+    fluid_count, grid = 0, fields.nodes.grid
     mass = momentum = broadcast(work.V, 0.0)
     for q in range(count):
         if work.group[q] == g:
@@ -269,7 +263,7 @@ def _relax_slip(g, count, c, shared, fields, work, diffusion, slip_factor, sign,
     drifts = diffusion > 0.0
     if drifts:
         strength = -sign * diffusion * 4.0 / (dx * dx)
-        _diffusive_drift(g, count, c, mass, fields.offsets, work, strength, dx / (2.0 * dt))
+        _diffusive_drift(g, count, c, mass, fields.nodes.offsets, work, strength, dx / (2.0 * dt))
     for q in range(count):
         if work.group[q] == g:
             row = load(grid, 256 * work.block[q] + c)
@@ -416,12 +410,12 @@ def _store_volume_flux(block, fields, work, rules, dx):
     but would no longer do so after each fluid's particles had carried theirs elsewhere. Arguments
     as of `store_mixture_values`.
     """
-    grid, forces = fields.grid, fields.forces
+    grid, forces = fields.nodes.grid, fields.nodes.forces
     for set_index in range(rules.sets):
-        count = collect_members(set_index, block.n0, block.n1, fields.phase, rules, work)
+        count = collect_members(set_index, block.n0, block.n1, fields.nodes.phase, rules, work)
         for c in range(0, 256 if count > 0 else 0, ROW):
             phase_count = load_masses(count, c, fields, work)
-            available_volume(count, c, block, fields.cells, dx, work)
+            available_volume(count, c, block, fields.nodes.cells, dx, work)
             fluid, grains, fluid_fraction = volumes(count, c, forces, work)
             all_volume = fluid + grains
             total = (
@@ -448,17 +442,17 @@ def _store_filled_fraction(block, fields, work, rules, dx):
     """
     full = broadcast(work.V, 1.0)
     for nb in range(block.n0, block.n1):
-        p = fields.phase[nb]
+        p = fields.nodes.phase[nb]
         if rules.mixture_set[p] < 0 or rules.fluid[p] == 0:
             continue
-        per_mass = broadcast(work.V, 1.0 / fields.min_cell_mass[p])
+        per_mass = broadcast(work.V, 1.0 / fields.nodes.min_cell_mass[p])
         for c in range(0, 256, ROW):
-            row = load(fields.grid, 256 * nb + c)
+            row = load(fields.nodes.grid, 256 * nb + c)
             own = per_mass * fourth_of(row)
             if block.at_wall:
-                available_volume(0, c, block, fields.cells, dx, work)
+                available_volume(0, c, block, fields.nodes.cells, dx, work)
                 own = own * (broadcast(work.V, dx * dx * dx) / load(work.V, 0))
-            store(fields.grid, 256 * nb + c, with_fourth(row, np.minimum(own, full)))
+            store(fields.nodes.grid, 256 * nb + c, with_fourth(row, np.minimum(own, full)))
 
 
 @device_function
@@ -476,8 +470,8 @@ def _filled_fraction(count, q, row, all_volume, fields, work, dx):
         work: Scratch with the available volumes.
         dx: Cell size [m].
     """
-    phase = fields.phase[work.block[q]]
-    volume_per_mass = dx * dx * dx / fields.min_cell_mass[phase]
+    phase = fields.nodes.phase[work.block[q]]
+    volume_per_mass = dx * dx * dx / fields.nodes.min_cell_mass[phase]
     space = load(work.V, ROW * count)
     own = np.minimum(broadcast(work.V, volume_per_mass) * fourth_of(row), space)
     return np.maximum(all_volume, own) / space

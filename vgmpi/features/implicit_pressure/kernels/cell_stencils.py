@@ -49,6 +49,23 @@ def _nodes_above(values, size, blocks, first, plane):
 
 
 @always_inline
+def _nodes_of_cells(values, size, blocks, b, x, offset):
+    """Return the numbers of the eight nodes of the cells of a plane, west and east.
+
+    Args:
+        values: Nodal numbers, flat.
+        size: Numbers of a block.
+        blocks: Blocks at and above each block, eight of them.
+        b: Block.
+        x: Number of the plane in the block.
+        offset: Offset of the numbers in a block.
+    """
+    first, plane = (8 * b, 16 * (x + 1)) if x < 3 else (8 * b + 4, 0)
+    west = _nodes_above(values, size, blocks, 8 * b, offset + 16 * x)
+    return west, _nodes_above(values, size, blocks, first, offset + plane)
+
+
+@always_inline
 def differences_below(values, blocks, first, plane):
     """Return sum, difference along y and difference along z of the four cells at each node.
 
@@ -72,9 +89,7 @@ def mean_of_nodes(values, blocks, b, x):
         b: Block.
         x: Number of the plane in the block.
     """
-    o, z, y, yz = _nodes_above(values, 64, blocks, 8 * b, 16 * x)
-    first, plane = (8 * b, 16 * (x + 1)) if x < 3 else (8 * b + 4, 0)
-    p, pz, py, pyz = _nodes_above(values, 64, blocks, first, plane)
+    (o, z, y, yz), (p, pz, py, pyz) = _nodes_of_cells(values, 64, blocks, b, x, 0)
     return 0.125 * (((o + z) + (y + yz)) + ((p + pz) + (py + pyz)))
 
 
@@ -89,10 +104,8 @@ def mean_of_axes(inverse, blocks, b, x):
         x: Number of the plane in the block.
     """
     total = 0.0 * load(inverse, 192 * b)
-    first, plane = (8 * b, 16 * (x + 1)) if x < 3 else (8 * b + 4, 0)
     for a in range(3):
-        o, z, y, yz = _nodes_above(inverse, 192, blocks, 8 * b, 64 * a + 16 * x)
-        p, pz, py, pyz = _nodes_above(inverse, 192, blocks, first, 64 * a + plane)
+        (o, z, y, yz), (p, pz, py, pyz) = _nodes_of_cells(inverse, 192, blocks, b, x, 64 * a)
         total = total + (((o + z) + (y + yz)) + ((p + pz) + (py + pyz)))
     return 0.125 * total
 
@@ -107,13 +120,9 @@ def divergence(u, blocks, b, x):
         b: Block.
         x: Number of the plane in the block.
     """
-    first, plane = (8 * b, 16 * (x + 1)) if x < 3 else (8 * b + 4, 0)
-    o, z, y, yz = _nodes_above(u, 192, blocks, 8 * b, 16 * x)
-    p, pz, py, pyz = _nodes_above(u, 192, blocks, first, plane)
+    (o, z, y, yz), (p, pz, py, pyz) = _nodes_of_cells(u, 192, blocks, b, x, 0)
     total = ((p + pz) + (py + pyz)) - ((o + z) + (y + yz))
-    o, z, y, yz = _nodes_above(u, 192, blocks, 8 * b, 64 + 16 * x)
-    p, pz, py, pyz = _nodes_above(u, 192, blocks, first, 64 + plane)
+    (o, z, y, yz), (p, pz, py, pyz) = _nodes_of_cells(u, 192, blocks, b, x, 64)
     total = total + (((y + yz) - (o + z)) + ((py + pyz) - (p + pz)))
-    o, z, y, yz = _nodes_above(u, 192, blocks, 8 * b, 128 + 16 * x)
-    p, pz, py, pyz = _nodes_above(u, 192, blocks, first, 128 + plane)
+    (o, z, y, yz), (p, pz, py, pyz) = _nodes_of_cells(u, 192, blocks, b, x, 128)
     return 0.25 * (total + (((z + yz) - (o + y)) + ((pz + pyz) - (p + py))))
