@@ -9,7 +9,7 @@ import numpy as np
 from vgmpi.scene.rigid_motion import Trajectory
 from vgmpi.scene.scene_feature import features
 
-from .step_costs import ProximityCost, StageCost, StepCosts
+from .step_costs import COSTS, ProximityCost, StageCost, StepCosts
 
 TIME_TOLERANCE = 1.0 + 1e-12  # [-] ratio below which two times count as equal
 
@@ -68,6 +68,8 @@ class FeaturePlan:
         has_momentum: Whether momentum and energy of its own are in the conservation log.
         step_limit: What makes steps shorter than at the start, for reports, or "".
         added_phases: Number of phases, the last ones, that are no bodies' own.
+        joins_compilation: Whether a run that only compiles kernels, without colliders and prepared
+            data, has it.
         step_seconds: Processor time [s] of a step besides that of its particles.
         uncounted_groups: Groups whose momentum and energy something else counts.
         drives_motion: Whether bodies reach speeds that gravity alone does not give them.
@@ -97,7 +99,7 @@ class FeaturePlan:
     nodal_fields: frozenset[str] = frozenset()
     reads_at_colliders = numbers_colliders = has_momentum = False
     phases: frozenset[int] = frozenset()
-    reads_all_nodes = False
+    reads_all_nodes, joins_compilation = False, True
     phases_in_contact: frozenset[int] = frozenset()
     adhesion: Adhesion | None = None
     collider_cost: ProximityCost | None = None
@@ -277,7 +279,7 @@ class FeaturePlan:
 
     def for_compilation(self) -> "FeaturePlan | None":
         """Return the plan of a run that only compiles kernels, or None to leave it out."""
-        return None
+        return self if self.joins_compilation else None
 
     def moved_bodies(self, colliders: list) -> Any:
         """Return the state of the colliders that it moves, or None if it moves none.
@@ -327,8 +329,15 @@ def plan_features(draft: PlanDraft, prepared: Mapping[str, Any], precede_copies:
             continue
         plan, draft = feature.plan(draft, prepared.get(feature.name))
         if plan is not None:
-            draft = draft._replace(features=(*draft.features, plan))
+            groups = tuple(_with_price(group, plan) for group in draft.groups)
+            draft = draft._replace(groups=groups, features=(*draft.features, plan))
     return draft
+
+
+def _with_price(group: Any, plan: FeaturePlan) -> Any:
+    """Return a group whose work per particle includes what a feature costs."""
+    price = plan.particle_cost(group, COSTS)
+    return group if price is None else group._replace(cost=group.cost + price.total)
 
 
 def first_reaction_rows(plans: Iterable[FeaturePlan], first: int) -> dict[str, int]:

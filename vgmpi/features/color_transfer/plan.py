@@ -8,7 +8,7 @@ from vgmpi.gaussians.spherical_harmonics import COEFFICIENTS
 from vgmpi.planning.feature_plan import FeaturePlan, PlanDraft
 from vgmpi.planning.phases_and_groups import GroupPlan, color_sets
 from vgmpi.planning.plan import Plan
-from vgmpi.planning.step_costs import COSTS, StageCost, StepCosts
+from vgmpi.planning.step_costs import StageCost, StepCosts
 from vgmpi.scene.scene import Scene
 
 CHANNEL = "color"  # of the particles
@@ -57,10 +57,6 @@ class ColorTransferPlan(FeaturePlan):
 
         return tuple(request_color(plan, self.exchange, k) for k in range(self.summed_fields))
 
-    def for_compilation(self) -> "ColorTransferPlan":
-        """Return this plan: its kernels act on all particles."""
-        return self
-
     def start(self, context: Any) -> Any:
         """Return the colors as they act in a run.
 
@@ -95,7 +91,6 @@ def plan_colors(
     groups = tuple(
         group._replace(
             extra_channels=(*group.extra_channels, (CHANNEL, "1", 3 * count)),
-            cost=group.cost + COSTS.carried_values.total * count,
         )
         if (count := int(exchange.coefficients[group.phase]))
         else group

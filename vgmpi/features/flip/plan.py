@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 from vgmpi.planning.feature_plan import FeaturePlan, PlanDraft
 from vgmpi.planning.phases_and_groups import GroupPlan
-from vgmpi.planning.step_costs import COSTS, StageCost, StepCosts
+from vgmpi.planning.step_costs import StageCost, StepCosts
 
 CHANGE = "change"  # nodal change of velocity [m/s], for particles
 
@@ -79,10 +79,6 @@ class FlipPlan(FeaturePlan):
 
         return DenseFlip(self.blend, dense)
 
-    def for_compilation(self) -> "FlipPlan":
-        """Return this plan: its kernels act on all particles."""
-        return self
-
 
 def plan_flip(draft: PlanDraft) -> tuple[FlipPlan, PlanDraft]:
     """Plan FLIP for all groups of a scene.
@@ -98,8 +94,5 @@ def plan_flip(draft: PlanDraft) -> tuple[FlipPlan, PlanDraft]:
         blend = FlipBlend(accuracy.flip_ratio, math.inf)
     else:
         blend = FlipBlend(1.0, accuracy.flip_decay_time)
-    groups = tuple(
-        group._replace(separates_stress=True, cost=group.cost + COSTS.separate_stress.total)
-        for group in draft.groups
-    )
+    groups = tuple(group._replace(separates_stress=True) for group in draft.groups)
     return FlipPlan(blend, accuracy.transfer), draft._replace(groups=groups)

@@ -52,10 +52,6 @@ class ImplicitPressurePlan(FeaturePlan):
         exponent = group.law.gamma  # type: ignore[attr-defined]
         return ImplicitPressureGather(nodes[DISPLACEMENT], exponent)
 
-    def for_compilation(self) -> "ImplicitPressurePlan":
-        """Return this plan: its kernels act on all particles."""
-        return self
-
     def start(self, context: Any) -> Any:
         """Return the implicit pressure as it acts in a run.
 
@@ -88,7 +84,6 @@ def plan_implicit_pressure(draft: PlanDraft) -> tuple[ImplicitPressurePlan, Plan
         group._replace(
             volume=VolumeTerms(separate_pressure=True),
             wave=WaveTerms(factor=0.0),
-            cost=group.cost + COST.total,
         )
         for group in draft.groups
     )

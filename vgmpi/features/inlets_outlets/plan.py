@@ -124,7 +124,7 @@ class OutletPlan(NamedTuple):
 class InletsOutletsPlan(FeaturePlan):
     """Inlets and outlets of a run."""
 
-    name = "inlets_outlets"
+    name, joins_compilation = "inlets_outlets", False
 
     def __init__(self, inlets: tuple[InletPlan, ...], outlets: tuple[OutletPlan, ...]):
         """Take the inlets and the outlets; walls that particles leave through are outlets."""

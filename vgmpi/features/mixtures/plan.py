@@ -112,10 +112,6 @@ class MixturesPlan(FeaturePlan):
         densities = np.array([phase.min_cell_mass for phase in plan.phases]) / plan.dx**3
         return DenseMixtures(self.rules, densities, dense)
 
-    def for_compilation(self) -> "MixturesPlan":
-        """Return this plan: its kernels act on all particles."""
-        return self
-
 
 def plan_mixtures(draft: PlanDraft) -> tuple[MixturesPlan | None, PlanDraft]:
     """Plan the phases of a scene that share space.

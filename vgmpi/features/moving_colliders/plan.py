@@ -8,7 +8,7 @@ from vgmpi.planning.feature_plan import FeaturePlan
 class MovingCollidersPlan(FeaturePlan):
     """Colliders of a run, of which some may move."""
 
-    name = "moving_colliders"
+    name, joins_compilation = "moving_colliders", False
 
     def start(self, context: Any) -> Any:
         """Return the colliders as they act in a run, or None if none is evaluated in its steps.

@@ -33,7 +33,7 @@ class PinnedPartsPlan(FeaturePlan):
 
     name = "pinned_parts"
     nodal_fields = frozenset(GRADIENTS)
-    reads_all_nodes = True
+    reads_all_nodes, joins_compilation = True, False
 
     def __init__(self, parts: tuple[PinnedPartPlan, ...]):
         """Take the plans of all parts."""

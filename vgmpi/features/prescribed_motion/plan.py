@@ -78,10 +78,6 @@ class PrescribedMotionPlan(FeaturePlan):
 
         return PrescribedBodies(self.bodies, plan, first_row)
 
-    def for_compilation(self) -> FeaturePlan:
-        """Return the plan itself: particles of the bodies have kernels of their own."""
-        return self
-
     def start(self, context: Any) -> Any:
         """Return the bodies as they act in a run.
 

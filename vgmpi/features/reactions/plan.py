@@ -13,10 +13,6 @@ class ReactionsPlan(FeaturePlan):
     numbers_colliders = True
     collider_cost = ProximityCost(StageCost(0.0, 0.05), StageCost(0.0, 60.0))
 
-    def for_compilation(self) -> "ReactionsPlan":
-        """Return this plan: all kernels add to the sums."""
-        return self
-
     def start(self, context: Any) -> Any:
         """Return the reactions as they act in a run.
 

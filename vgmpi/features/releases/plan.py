@@ -13,7 +13,7 @@ class ReleasesPlan(FeaturePlan):
         particles: Particles that are released, by groups.
     """
 
-    name = "releases"
+    name, joins_compilation = "releases", False
 
     def __init__(
         self,

@@ -43,7 +43,7 @@ class RigidBodiesSummary(NamedTuple):
 class RigidBodiesPlan(FeaturePlan):
     """Free rigid bodies of a run."""
 
-    name = "rigid_bodies"
+    name, joins_compilation = "rigid_bodies", False
     nodal_fields = frozenset(NEAR_BODIES)
     reads_at_colliders = numbers_colliders = has_momentum = True
     step_limit = "shorter where rigid bodies or spray are fast"

@@ -5,7 +5,7 @@ from typing import Any
 from vgmpi.planning.feature_plan import FeaturePlan, PlanDraft
 from vgmpi.planning.phases_and_groups import GroupPlan
 from vgmpi.planning.plan import Plan, correction_interval
-from vgmpi.planning.step_costs import COSTS, StageCost, StepCosts
+from vgmpi.planning.step_costs import StageCost, StepCosts
 from vgmpi.scene.scene import Scene
 
 # Longest interval [steps] between two shifts, and longest travel of a wave in it [cells], as of the
@@ -56,10 +56,6 @@ class ShiftingPlan(FeaturePlan):
 
         return (request_rest_volume(plan, self.mixed_phases),)
 
-    def for_compilation(self) -> "ShiftingPlan":
-        """Return this plan: its kernels act on all particles."""
-        return self
-
     def start(self, context: Any) -> Any:
         """Return the shifts as they act in a run.
 
@@ -78,7 +74,7 @@ def plan_shifting(draft: PlanDraft) -> tuple[ShiftingPlan | None, PlanDraft]:
         draft: Phases and groups.
 
     Returns:
-        The plan, None without liquids, and the draft with their price.
+        The plan, None without liquids, and the draft as it is.
     """
     scene, liquids = draft.scene, [group for group in draft.groups if group.is_liquid]
     if not liquids:
@@ -89,13 +85,7 @@ def plan_shifting(draft: PlanDraft) -> tuple[ShiftingPlan | None, PlanDraft]:
         if draft.phases[group.phase].min_cell_mass < draft.phases[group.phase].max_cell_mass
     )
     is_alone = not scene.accuracy.corrects_transfers
-    plan = ShiftingPlan(shift_interval(scene), mixed, is_alone)
-    prices = [plan.particle_cost(group, COSTS) for group in draft.groups]
-    groups = tuple(
-        group if price is None else group._replace(cost=group.cost + price.total)
-        for group, price in zip(draft.groups, prices, strict=True)
-    )
-    return plan, draft._replace(groups=groups)
+    return ShiftingPlan(shift_interval(scene), mixed, is_alone), draft
 
 
 def shift_interval(scene: Scene) -> int:

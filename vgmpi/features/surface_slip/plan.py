@@ -50,10 +50,6 @@ class SurfaceSlipPlan(FeaturePlan):
             for obj in self.objects
         ]
 
-    def for_compilation(self) -> FeaturePlan:
-        """Return the plan itself: it needs no prepared data."""
-        return self
-
     def start(self, context: Any) -> Any:
         """Return the slip as it acts in a run, or None if liquids slip freely on what it has.
 

@@ -47,10 +47,6 @@ class ThinWallsPlan(FeaturePlan):
         names = ", ".join(map(escape_control_characters, self.walls))
         return [f"  thin walls  {names}: what flows on one side does not feel the other"]
 
-    def for_compilation(self) -> FeaturePlan:
-        """Return the plan itself: it needs no prepared data."""
-        return self
-
     def start(self, context: Any) -> Any:
         """Return the walls as they act in a run, or None if no collider is evaluated in its steps.
 

@@ -92,10 +92,6 @@ class WaveZonesPlan(FeaturePlan):
                 )
         return lines
 
-    def for_compilation(self) -> "WaveZonesPlan":
-        """Return the plan itself: its kernel is compiled without particles."""
-        return self
-
     def start(self, context: Any) -> Any:
         """Return the zones as they act in a run.
 

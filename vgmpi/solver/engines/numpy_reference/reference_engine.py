@@ -51,11 +51,10 @@ from .group_channels import (
     law_state,
     put_channel,
     put_law_state,
+    resolved_surface,
 )
-from .moving_colliders import distance_from_colliders, nearest_collider
-from .prescribed_motion import carry, prescribe
+from .prescribed_motion import carry, distance_from_colliders, nearest_collider, prescribe
 from .reaction_impulses import ReactionSums, WallRecorder
-from .resolved_surfaces import resolved_surface
 from .surface_nodes import SurfaceNodes
 from .yielding_walls import sums_of
 
