@@ -1,6 +1,7 @@
 """Copies of the same sources share compiled code, and an edit of whatever it can see is seen.
 
-Every call of `run` is a process of its own, on a package `small` of a few kernels.
+Every call of `run` is a process of its own, on a package `small` of a few kernels. It keeps no
+bytecode: Python takes a file of the same size and second for one that has not changed.
 """
 
 import json
@@ -135,8 +136,18 @@ def lay_out(folder):
     return folder
 
 
+def write(path, text):
+    """Write a file with a time that tells nothing."""
+    path.write_text(text)
+    os.utime(path, (1e9, 1e9))
+
+
 def start(folder, cache, *calls):
-    env = {"PYTHONPATH": f"{folder}{os.pathsep}{launch.ROOT}", "NUMBA_CACHE_DIR": str(cache)}
+    env = {
+        "PYTHONPATH": f"{folder}{os.pathsep}{launch.ROOT}",
+        "NUMBA_CACHE_DIR": str(cache),
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }
     return launch.start([sys.executable, "-c", COUNTED, *calls], env)
 
 
@@ -184,9 +195,9 @@ def test_an_edit_is_seen_by_those_that_see_it(
     path = folder / "small" / f"{file}.py"
     text = path.read_text()
     assert old in text
-    path.write_text(text.replace(old, new))
+    write(path, text.replace(old, new))
     assert run(folder, cache, call, "other.alone") == [[value, 4.0], compiled]
-    path.write_text(text)  # the earlier code is still there
+    write(path, text)  # the earlier code is still there
     assert run(folder, cache, call, "other.alone")[1] == []
 
 
