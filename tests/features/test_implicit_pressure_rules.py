@@ -54,7 +54,7 @@ name = "push"
 wall = "bottom"
 sampling_rate = 100
 """
-BODIES = "bodies that are held or moved, and colliders with friction"
+BODIES = "bodies of particles that are held or moved, and colliders with friction"
 WALLS = "walls other than slip and stick"
 
 

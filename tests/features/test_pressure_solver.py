@@ -93,6 +93,18 @@ def free_part(distance):
     return np.select([d <= -0.5, d >= 0.5], [(d + 1.5) ** 3 / 6, 1 - (1.5 - d) ** 3 / 6], near)
 
 
+def curved(distance):
+    """Distances [cells], moved by an eighth of their second differences where these are known."""
+    around = np.pad(distance, 1, constant_values=np.inf)
+    total = -6 * np.where(np.isfinite(distance), distance, 0.0)
+    for axis in range(3):
+        for side in (0, 2):
+            place = [slice(1, -1)] * 3
+            place[axis] = slice(side, side + distance.shape[axis])
+            total = total + around[tuple(place)]
+    return np.where(np.isfinite(total) & (np.abs(distance) < 2), distance + total / 8, distance)
+
+
 def node_values(solver, rows, values, size, default=0.0):
     """Dense grid of values (n, 64, size) that only the blocks with a row have."""
     every = np.full((solver.count, 64, size), default)
@@ -127,7 +139,7 @@ def test_colliders_share_nodes_as_in_numpy(tmp_path, monkeypatch):
         places = np.indices(mass.shape) - 1
         last = np.array(mass.shape).reshape(3, 1, 1, 1) - 2
         at_wall, south = (places == 0) | (places == last), places[1] == 0
-        wet, free = mass * 2.0 ** at_wall.sum(0), free_part(distance)
+        wet, free = mass * 2.0 ** at_wall.sum(0), free_part(curved(distance))
         share = np.where(wet > 1e-9, np.where(free < 0.5, np.minimum(free, wet), free), 0)
         share = np.where(share < 1e-3, 0, share)
         is_held = (places <= 0) | (places >= last) | south

@@ -57,6 +57,78 @@ collider = true
 shape = { cylinder = { endpoints = [[0.4, 0.1, -0.1], [0.4, 0.1, 0.5]], radius = 0.03 } }
 """
 
+# bodies that float, sink and hang from joints, and drops above the pool: ranks have nodes with
+# liquid next to cells with pressure of other ranks
+BODIES = """
+[domain]
+size = [0.48, 0.16, 0.40]
+cell = 0.02
+boundary = "slip"
+[time]
+end = 0.15
+frames = 3
+[accuracy]
+pressure = "implicit"
+[material.water]
+kind = "fluid"
+max_speed = 2
+[material.wood]
+kind = "elastic"
+density = 300
+youngs_modulus = "1 MPa"
+[[object]]
+name = "pool"
+material = "water"
+subtract = true
+shape = { box = [[0, 0, 0], [0.48, 0.16, 0.16]] }
+[[object]]
+name = "drops"
+material = "water"
+subtract = true
+shape = { box = [[0.1, 0.04, 0.2], [0.4, 0.1, 0.24]] }
+velocity = [0, 0, -1]
+[[object]]
+name = "block"
+material = "wood"
+rigid = true
+rotation = { axis = [1, 1, 0], angle = "20 deg" }
+position = [0.1, 0.08, 0.1]
+shape = { box = [[-0.05, -0.04, -0.04], [0.05, 0.04, 0.04]] }
+[[object]]
+name = "paddle"
+material = "wood"
+rigid = true
+shape = { box = [[0.24, 0.04, 0.02], [0.29, 0.12, 0.2]] }
+[[object]]
+name = "arm"
+material = "wood"
+rigid = true
+shape = { box = [[0.3, 0.04, 0.12], [0.4, 0.12, 0.18]] }
+[[joint]]
+kind = "hinge"
+between = ["paddle"]
+at = [0.26, 0.08, 0.18]
+axis = "y"
+[[joint]]
+kind = "ball"
+between = ["arm", "paddle"]
+at = [0.295, 0.08, 0.15]
+"""
+
+
+@pytest.fixture(scope="module")
+def bodies(tmp_path_factory):
+    return run_on_one_rank(tmp_path_factory.mktemp("bodies"), BODIES)
+
+
+@RANKS_AND_THREADS
+def test_free_bodies_on_any_ranks_and_threads(bodies, tmp_path, start, ranks, flags):
+    assert_same_files(*bodies, tmp_path / "out", start, ranks, *flags)
+
+
+def test_free_bodies_after_a_restart(bodies, tmp_path):
+    assert_same_after_stop(*bodies, tmp_path / "out", 9)
+
 
 @pytest.fixture(scope="module", params=["single", pytest.param("double", marks=pytest.mark.slow)])
 def one(request, tmp_path_factory):

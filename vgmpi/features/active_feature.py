@@ -90,6 +90,33 @@ class NodeState(NamedTuple):
     call: Callable  # call(kernel, rows, *arguments) runs compiled code if there are rows
 
 
+class PushedBodies(Protocol):
+    """Free rigid bodies as what pushes them in a step sees them; all ranks hold the same.
+
+    Attributes:
+        number_of: Number of the free body of each collider, -1 if it is not free, (colliders,).
+    """
+
+    number_of: np.ndarray
+
+    def centers(self) -> np.ndarray:
+        """Return their centers of mass, shape (m, 3) [m]."""
+
+    def predict_velocities(self, dt: float, gravity: np.ndarray) -> np.ndarray:
+        """Return the velocities after a step without flow, shape (m, 6) [m/s], [rad/s].
+
+        Args:
+            dt: Length of the step [s].
+            gravity: Acceleration, shape (3,) [m/s2].
+        """
+
+    def mobility(self) -> np.ndarray:
+        """Return the changes of the velocities per impulse, (6 m, 6 m) [1/kg], [1/(kg m)], ..."""
+
+    def add_impulses(self, impulses: np.ndarray) -> None:
+        """Give them impulses and moments about their centers, (m, 6) [kg m/s], [kg m2/s]."""
+
+
 class ActiveFeature:
     """Feature of a run on one rank. Methods are collective; every one does nothing by default.
 
@@ -97,6 +124,7 @@ class ActiveFeature:
         carrier: Value of `GroupPlan.carrier` of the groups whose particles it moves, or "".
         reserved_nodes: 1 at nodes that it attaches, where colliders do not act, (node blocks, 64)
             uint8; None if it attaches none.
+        pushed_bodies: Free bodies that features which act before it may push, or None.
         attaches_to_bodies: Whether it attaches nodes to free rigid bodies: it has `find_contacts`.
         phases: Phases whose fields it needs near its blocks, shape (phases,) bool.
         couples_nodes: Whether it has `couple_nodes`.
@@ -110,6 +138,7 @@ class ActiveFeature:
 
     carrier = ""
     reserved_nodes: np.ndarray | None = None
+    pushed_bodies: PushedBodies | None = None
     attaches_to_bodies = False
     phases = np.zeros(0, bool)
     couples_nodes = False

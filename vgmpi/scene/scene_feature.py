@@ -119,7 +119,7 @@ class SceneFeature:
         section_keys: Tables of the keys that it adds to [accuracy] and others, by their names.
         lists: Lists of tables that it adds at the top, by name.
         missing_engines: Engines that cannot run it.
-        pushes_alone: Whether it does no more than to push particles before a step.
+        suits_implicit_pressure: Whether its lists may stand beside an implicit pressure.
         moves_bodies: Whether it gives whole bodies groups of their own: it plans before others.
         precedes_copies: Whether it plans before these copy groups.
         hints: What messages add on the help that it gives, by problem: "open mesh".
@@ -132,7 +132,7 @@ class SceneFeature:
     section_keys: Mapping[str, type[StrictModel]] = {}
     lists: Mapping[str, TableList] = {}
     missing_engines: tuple[str, ...] = ()
-    pushes_alone = moves_bodies = precedes_copies = False
+    suits_implicit_pressure = moves_bodies = precedes_copies = False
     hints: Mapping[str, str] = {}
 
     def keys_of(self, obj: Object) -> list[str]:

@@ -8,7 +8,7 @@ See docs/explanation/implicit-pressure.md.
 
 import numpy as np
 
-from vgmpi.features.active_feature import ActiveFeature, NodeState, StartContext
+from vgmpi.features.active_feature import ActiveFeature, NodeState, PushedBodies, StartContext
 from vgmpi.kernels.step_records import StepSpan
 from vgmpi.parallel.block_lattice import BLOCK_EDGE
 from vgmpi.parallel.block_ownership import BlockDirectory
@@ -16,6 +16,7 @@ from vgmpi.parallel.cell_exchange import cell_topology
 from vgmpi.parallel.exchange_topology import ExchangeTopology, counting_owner
 
 from . import pressure_system
+from .body_response import BodyResponse
 from .plan import DISPLACEMENT
 from .pressure_solver import PressureSolver
 from .pressure_system import INWARD_STEPS, ColliderNodes, pressure_fields
@@ -36,6 +37,8 @@ class ImplicitPressure(ActiveFeature):
         # relative pressure of a particle per potential of a cell and inverse time step
         self.stiffness = float(group.law.k) / (group.density * plan.dx**2)  # type: ignore[attr-defined]
         self.solver, self.colliders = solver, context.collider_nodes
+        self.features = context.features
+        self.response: BodyResponse | None = None
 
     def set_topology(self, tables: ExchangeTopology, census: BlockDirectory) -> None:
         """Take new tables after a sort.
@@ -58,6 +61,8 @@ class ImplicitPressure(ActiveFeature):
         self.fields = pressure_fields(self.blocks, real)
         self.fields.region[: 64 * self.blocks] = cells.region.reshape(-1)
         self.near_colliders = np.flatnonzero(tables.solid >= 0)
+        is_near = np.append(tables.solid >= 0, False)
+        self.near_cells = np.flatnonzero(is_near[self.solver.lattice.high.reshape(-1, 8)].any(1))
         if self.colliders is not None:  # they act on the liquid by the pressure
             self.reserved_nodes = np.ones((len(tables.phase), 64), np.uint8)
         self.outside = (~inside).astype(real).reshape(-1)
@@ -74,12 +79,13 @@ class ImplicitPressure(ActiveFeature):
         level, lattice, exchange = solver.level, solver.lattice, solver.exchange
         assert exchange is not None
         velocity, pressure = nodes.velocities, nodes.fields[PARTICLE_PRESSURE].nodes
+        bodies = self._pushed_bodies()
         walls, real, blocks = nodes.walls, plan.real.type, nodes.block_rows
-        colliders = self._colliders_at(nodes)
+        colliders = self._colliders_at(nodes, bodies)
         solver.take_rows(nodes.each, nodes.call, blocks, blocks)
         solver.each(
-            blocks, pressure_system.set_nodes, lattice, walls.cells, walls.kinds, velocity,
-            pressure, colliders, self.mass_of_cell, plan.dx, fields, level,
+            blocks, pressure_system.set_nodes, lattice, walls, velocity, pressure, colliders,
+            self.mass_of_cell, plan.dx, fields, level,
         )  # fmt: skip
         guess_scale = real(dt * self.stiffness)
         solver.each(blocks, pressure_system.set_cells, lattice, guess_scale, fields, level)
@@ -88,15 +94,20 @@ class ImplicitPressure(ActiveFeature):
         cells, wet = self._find_wet_blocks()
         exchange.exchange(fields.phi)
         solver.take_rows(nodes.each, nodes.call, cells, wet)
+        if bodies is not None:
+            solver.bodies = self._begin_response(nodes, colliders, bodies, dt, gravity)
         solver.solve(fields.phi)
         solver.respond(fields.phi)
+        if bodies is not None and solver.bodies is not None:
+            bodies.add_impulses(solver.bodies.find_impulses(fields.phi))
+            solver.bodies = None  # they stand while positions are corrected
         solver.each(wet, pressure_system.add_velocities, plan.dx, fields, level, velocity)
         scale = real(1.0 / (dt * self.stiffness))
         solver.each(wet, pressure_system.store_node_pressure, lattice, scale, fields)
         if len(self.near_colliders):
             nodes.call(
-                pressure_system.stop_at_colliders, self.near_colliders, lattice, walls.cells,
-                walls.kinds, colliders, plan.dx, fields, velocity,
+                pressure_system.stop_at_colliders, self.near_colliders, lattice, walls, colliders,
+                plan.dx, fields, velocity, self.reserved_nodes,
             )  # fmt: skip
         count = 64 * self.blocks
         fields.cover[:count] = fields.filled[:count] + self.outside + fields.covered[:count]
@@ -106,13 +117,35 @@ class ImplicitPressure(ActiveFeature):
         moves[:] = 0
         solver.each(wet, pressure_system.store_moves, fields, level, moves)
 
-    def _colliders_at(self, nodes: NodeState) -> ColliderNodes:
+    def _pushed_bodies(self) -> PushedBodies | None:
+        """Return the free bodies of the run, or None without any."""
+        features = self.features.values()
+        return next((each.pushed_bodies for each in features if each.pushed_bodies), None)
+
+    def _colliders_at(self, nodes: NodeState, bodies: PushedBodies | None) -> ColliderNodes:
         """Return the colliders at the nodes in this step."""
-        real = self.plan.real
-        if self.colliders is None:
+        real, colliders = self.plan.real, self.colliders
+        body = np.zeros((0, 64), np.int64)
+        if colliders is None:
             none = np.zeros((0, 64, 4), real), np.zeros((0, 64, 3), real)
-            return ColliderNodes(np.full(self.blocks, -1), *none)
-        return ColliderNodes(nodes.blocks.solid, self.colliders.nodes, self.colliders.moves)
+            return ColliderNodes(np.full(self.blocks, -1), *none, body)
+        if bodies is not None:
+            body = bodies.number_of[colliders.collider_number]
+        return ColliderNodes(nodes.blocks.solid, colliders.nodes, colliders.moves, body)
+
+    def _begin_response(
+        self, nodes: NodeState, colliders: ColliderNodes, bodies: PushedBodies, dt: float,
+        gravity: np.ndarray,
+    ) -> BodyResponse:  # fmt: skip
+        """Return how free bodies answer to the pressure in this step. Collective."""
+        if self.response is None:
+            self.response = BodyResponse(self.ranks, self.mass_of_cell, self.plan.dx)
+        response = self.response
+        response.find_rows(
+            bodies, self.solver, self.near_cells, nodes.walls, colliders, self.fields
+        )
+        response.begin(bodies, bodies.predict_velocities(dt, gravity))
+        return response
 
     def _spread_inward(self, nodes: NodeState) -> None:
         """Let cells inside of colliders have pressure next to those that have it. Collective."""
@@ -121,6 +154,7 @@ class ImplicitPressure(ActiveFeature):
         fields, solver, count = self.fields, self.solver, 64 * self.blocks
         assert solver.exchange is not None
         level = solver.level
+        solver.exchange.exchange(fields.covered)
         for _ in range(INWARD_STEPS):
             fields.cover[:] = fields.filled <= 0
             rows, lattice = self.near_colliders, solver.lattice

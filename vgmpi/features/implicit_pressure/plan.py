@@ -12,6 +12,7 @@ from vgmpi.scene.scene import Scene
 from vgmpi.scene.scene_feature import features
 
 WALL_KINDS = ("slip", "stick")
+HELD_BODIES = "bodies of particles that are held or moved, and colliders with friction"
 COST = StageCost(0.1, 1.2, 0.2)  # per particle, relative to the step of a fluid's
 DISPLACEMENT = "displacement"  # nodal displacement [cells] and relative pressure, for particles
 MIN_VISCOUS_RATIO = 4.0  # of the viscous bound of the step to that by waves, for the advice
@@ -133,17 +134,15 @@ def obstacles(
         _refuse(("accuracy", "pressure"), "several phases or densities")
     for k, obj in enumerate(scene.object):
         values = {
-            "rigid": obj.rigid, "motion": obj.motion and not obj.collider,
+            "motion": obj.motion and not obj.collider,
             "friction": obj.friction,
             **{key: True for feature in features() for key in feature.keys_of(obj)},
         }  # fmt: skip
         for key, value in values.items():
             if value:
-                _refuse(
-                    ("object", k, key), "bodies that are held or moved, and colliders with friction"
-                )
+                _refuse(("object", k, key), HELD_BODIES)
     for feature in features():
-        for name in () if feature.pushes_alone else feature.lists:
+        for name in () if feature.suits_implicit_pressure else feature.lists:
             if scene.lists[name]:
                 _refuse((name, 0), feature.title)
     for k, probe in enumerate(scene.probe):

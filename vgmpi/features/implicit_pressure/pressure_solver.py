@@ -20,6 +20,7 @@ from vgmpi.parallel.coarse_blocks import CoarseBlocks, find_coarse_blocks, latti
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.runtime.aligned_arrays import aligned_zeros
 
+from .body_response import BodyResponse
 from .kernels import multigrid, relaxation
 from .kernels.multigrid import WetRows
 from .kernels.relaxation import LevelFields, Sweeps, chebyshev_factors, level_fields
@@ -30,6 +31,7 @@ POSITION_SWEEPS = Sweeps(10, 0.1)
 REST_BITS = 40  # binary digits of the largest residual that the coarse levels take
 MIN_EXPONENT = -60  # of the largest residual: smaller ones are nothing
 PRODUCT_BITS, SECOND_BITS = 20, 40  # of a product, in units, and of what rounding leaves
+BODY_UNIT = 2.0**-20  # [-] of the largest residual: unit of the sums of free bodies
 # With fewer blocks, one thread sweeps faster than two that wait for each other at every sweep: two
 # save about 6 us per block and step, and wait 4.8 ms (vgmpi bench board --only dam_break splash).
 SHARED_BLOCKS = 800
@@ -62,13 +64,18 @@ class CoarseLevels:
         blocks, level, sums, cells, nodes = self.blocks, self.level, self.response_sums, [], []
         finer, limit = finest, self.real.type(multigrid.MAX_RESPONSE)
         finer_rows = np.arange(len(finest.scale) // 64 - 1)
-        is_wet = np.any(finest.scale.reshape(-1, 64) > 0, 1)
+        is_wet = np.any(finest.scale.reshape(-1, 64) > 0, 1)  # the last row is that of no block
         has_cells = np.zeros(len(blocks.parent) + 1, bool)
         for number in range(len(blocks.first) - 1):
             first, last = blocks.first[number], blocks.first[number + 1]
             rows = np.arange(first, last)
+            is_near = is_wet[blocks.children.reshape(-1, 64)[rows]].any(1)
+            if number == 0:  # on any rank: its cells may touch the nodes that this rank counts
+                is_near = self.ranks.max(is_near.astype(np.int8)) > 0
+            near_rows = rows[is_near]
+            sums[rows] = 0.0
             call(multigrid.count_responses, finer_rows, counted[1], limit, finer)
-            call(multigrid.sum_responses, rows, blocks.children, is_wet, finer, counted[0], sums)
+            call(multigrid.sum_responses, near_rows, blocks.children, finer, counted[0], sums)
             if number == 0 and self.ranks.size > 1:
                 sums[rows] = self.ranks.sum(sums[rows].astype(np.int64))
             size = blocks.sizes[number + 1]
@@ -122,6 +129,7 @@ class PressureSolver:
     Attributes:
         lattice: Blocks of this rank, Lattice.
         level: Fields of the finest level: u, inverse, scale and residual are the system.
+        bodies: Free bodies that answer to the pressure, or None.
     """
 
     def __init__(self, ranks: SerialCommunicator, cells: tuple[int, int, int], real: np.dtype):
@@ -129,6 +137,7 @@ class PressureSolver:
         self.ranks, self.domain, self.real = ranks, cells, real
         self.exchange: CellExchange | None = None
         self.coarse: CoarseLevels | None = None
+        self.bodies: BodyResponse | None = None
         self.factors = np.array(chebyshev_factors(CYCLE_SWEEPS), real)
         self.position_factors = np.array(chebyshev_factors(POSITION_SWEEPS), real)
 
@@ -174,8 +183,9 @@ class PressureSolver:
         assert self.exchange is not None
         if len(cells) == 1 or sum(map(len, cells)) < SHARED_BLOCKS:
             cells, nodes = [np.concatenate(cells)], [np.concatenate(nodes)]
-        self.cells, self.nodes, self.all_cells = cells, nodes, np.concatenate(cells)
+        self.cells, self.nodes = cells, nodes
         self.is_alone = len(cells) == 1 and not self.exchange.has_neighbors
+        self.bodies = None
 
     def each(self, rows: Sequence[np.ndarray], kernel, *arguments) -> None:
         """Call a kernel with the rows of each thread, or here with those of a single one."""
@@ -194,19 +204,27 @@ class PressureSolver:
     def _sweep(self, factors: np.ndarray) -> None:
         """Relax the correction further."""
         assert self.exchange is not None
-        if self.is_alone:  # one call in place of many
+        if self.is_alone and self.bodies is None:  # one call in place of many
             nodes = self.nodes[0]
             self.each(self.cells, relaxation.sweep, nodes, self.lattice, factors, self.level)
             return
         for weight, inertia in factors:
             self.respond(self.level.correction)
+            if self.bodies is not None:
+                self.bodies.begin_sweep()
             self.each(self.cells, relaxation.relax, self.lattice, weight, inertia, self.level)
+            if self.bodies is not None:
+                self.bodies.end_sweep(weight, inertia)
             self.exchange.exchange(self.level.correction)
 
     def _sweep_from_zero(self, factors: np.ndarray) -> None:
         """Relax a correction of 0."""
         assert self.exchange is not None
+        if self.bodies is not None:
+            self.bodies.begin_first_sweep()
         self.each(self.cells, relaxation.begin_sweeps, factors[0, 0], self.level)
+        if self.bodies is not None:
+            self.bodies.end_sweep(*factors[0])
         self.exchange.exchange(self.level.correction)
         self._sweep(factors[1:])
 
@@ -220,6 +238,8 @@ class PressureSolver:
         """Store the product of the system and a potential."""
         self.respond(potential)
         self.each(self.cells, relaxation.multiply, self.lattice, product, self.level)
+        if self.bodies is not None:
+            self.bodies.add_product(potential, product)
 
     def solve(self, phi: np.ndarray) -> None:
         """Bring phi nearer to the solution. Collective.
@@ -233,9 +253,13 @@ class PressureSolver:
         )
         direction[:] = 0
         product[:] = 0
+        if self.bodies is not None:
+            self.bodies.take_magnitude(float(np.abs(phi).max(initial=0)))
         self._multiply(phi, self.product)
         residual -= product
         magnitude = self._prepare_levels(residual)
+        if self.bodies is not None:
+            self.bodies.unit = magnitude * BODY_UNIT
         before = 0.0
         for iteration in range(ITERATIONS):
             self._precondition(magnitude)
@@ -275,6 +299,8 @@ class PressureSolver:
         self.respond(level.correction)
         per_quantum = self.real.type(1.0 / quantum)
         self.each(self.cells, relaxation.find_remainder, lattice, self.counted, per_quantum, level)
+        if self.bodies is not None:
+            self.bodies.correct_remainder(per_quantum)
         correction = coarse.find_correction(self._call_kernel, level.remainder, quantum)
         self.each(
             self.cells, multigrid.interpolate, lattice.block, coarse.blocks.parent_of_finest,
@@ -289,7 +315,13 @@ class PressureSolver:
         sums = np.zeros(2, np.int64)
         unit = (magnitude * magnitude) * 2.0**-PRODUCT_BITS
         self._call_kernel(
-            relaxation.sum_products, self.all_cells, a, b, self.counted, 1.0 / unit, sums
+            relaxation.sum_products,
+            np.concatenate(self.cells),
+            a,
+            b,
+            self.counted,
+            1.0 / unit,
+            sums,
         )
         first, second = self.ranks.sum(sums).tolist()
         return ((first << SECOND_BITS) + second) * 2.0**-SECOND_BITS * unit

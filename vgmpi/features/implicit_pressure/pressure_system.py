@@ -26,7 +26,13 @@ from vgmpi.materials.tensor_math.select import select
 from vgmpi.runtime.aligned_arrays import aligned_zeros
 from vgmpi.runtime.jit import always_inline, kernel
 
-from .kernels.cell_stencils import differences_below, divergence, mean_of_axes, mean_of_nodes
+from .kernels.cell_stencils import (
+    differences_below,
+    divergence,
+    is_held,
+    mean_of_axes,
+    mean_of_nodes,
+)
 
 SURFACE_FILL = 0.5  # [-] cells that are filled less have no pressure: they are the surface
 MIN_NODE_FILL = 1e-9  # [-] lighter nodes do not respond
@@ -35,6 +41,9 @@ MAX_MOVE = 0.3  # [cells] largest correction of a position along an axis in a st
 # They have pressure if a neighbor has it, some times over, and no node of theirs is nearly empty.
 MIN_FREE_PART, INWARD_STEPS, EMPTY_PART = 0.3, 3, 0.1
 MIN_SHARE = 1e-3  # [-] liquid that has less of a node does not respond: its velocity would be vast
+# The part of a node that a face leaves is that of its tangent plane, moved by half the variance of
+# the spline, 1/4, times the curvature of the face: so convex bodies have their volume.
+CURVATURE_SHIFT, CURVED_DISTANCE = 0.125, 2.0  # [cells^2], [cells]
 RESOLVED_SHARE = 0.5  # [-] where colliders leave less, liquid has no more than its volume
 # [cells] distances from a collider at which approach is stopped wholly, and not at all
 STOP_DISTANCE, FREE_DISTANCE = 0.25, 1.05
@@ -63,6 +72,7 @@ class ColliderNodes(NamedTuple):
     row: np.ndarray  # (blocks,) row of each block, or -1
     nodes: np.ndarray  # (n, 64, 4) outward normal and distance [m]
     moves: np.ndarray  # (n, 64, 3) velocity [m/s], or no rows
+    body: np.ndarray  # (n, 64) number of a free body, -1 for other colliders, or no rows
 
 
 def pressure_fields(blocks: int, real: np.dtype) -> PressureFields:
@@ -71,15 +81,13 @@ def pressure_fields(blocks: int, real: np.dtype) -> PressureFields:
 
 
 @kernel
-def set_nodes(rows, lattice, cells, kinds, velocity, pressure, colliders, unit, dx,
-              fields, level):  # fmt: skip
+def set_nodes(rows, lattice, walls, velocity, pressure, colliders, unit, dx, fields, level):
     """Read the nodes of some blocks.
 
     Args:
         rows: Blocks to process, shape (n,).
         lattice: Blocks, Lattice.
-        cells: Cells of the domain, shape (3,).
-        kinds: Kinds of the walls, shape (3, 2).
+        walls: Walls of the domain.
         velocity: Velocity [m/s] and mass [kg] of the nodes, shape (blocks, 256).
         pressure: Rest volume times relative pressure of the particles at the nodes [m3] as fourth
             number, shape (blocks, 256).
@@ -103,9 +111,9 @@ def set_nodes(rows, lattice, cells, kinds, velocity, pressure, colliders, unit, 
             for a in range(3):
                 step = q // 16 if a == 0 else (q // 4 % 4 if a == 1 else q % 4)
                 node = 4 * lattice.block[b, a] - 1 + step
-                inside = inside and 0 <= node <= cells[a]
-                if node == 0 or node == cells[a]:
-                    kind = kinds[a, 0] if node == 0 else kinds[a, 1]
+                inside = inside and 0 <= node <= walls.cells[a]
+                if node == 0 or node == walls.cells[a]:
+                    kind = walls.kinds[a, 0] if node == 0 else walls.kinds[a, 1]
                     images *= real(2.0)
                     for c in range(3):
                         if kind == STICK or (kind == SLIP and c == a):
@@ -119,15 +127,18 @@ def set_nodes(rows, lattice, cells, kinds, velocity, pressure, colliders, unit, 
             fields.free_part[64 * b + q] = fields.share[64 * b + q] = unity
             fields.empty[64 * b + q] = zero
         if colliders.row[b] >= 0:
-            _share_nodes(b, lattice, cells, kinds, colliders, dx, fields, level)
+            _share_nodes(b, lattice, walls, colliders, dx, fields, level)
 
 
 @always_inline
-def _share_nodes(b, lattice, cells, kinds, colliders, dx, fields, level):
+def _share_nodes(b, lattice, walls, colliders, dx, fields, level):
     """Share the nodes of a block between liquid and colliders."""
     real, row = fields.mass.dtype.type, colliders.row[b]
     for q in range(64):
-        free_part = real(1.0 - half_space_fraction(colliders.nodes[row, q, 3] / dx))
+        distance = colliders.nodes[row, q, 3] / dx
+        if abs(distance) < CURVED_DISTANCE:
+            distance += CURVATURE_SHIFT * _curvature_at(b, q, lattice, colliders) / dx
+        free_part = real(1.0 - half_space_fraction(distance))
         wet = fields.mass[64 * b + q]
         share = min(free_part, wet) if free_part < RESOLVED_SHARE else free_part
         if wet <= MIN_NODE_FILL or share < MIN_SHARE:
@@ -140,21 +151,33 @@ def _share_nodes(b, lattice, cells, kinds, colliders, dx, fields, level):
             n = 192 * b + 64 * a + q
             level.inverse[n] *= share * share
             level.u[n] *= share
-            if len(colliders.moves) > 0 and not _is_held(b, q, a, lattice, cells, kinds):
+            is_free = len(colliders.body) > 0 and colliders.body[row, q] >= 0
+            if is_free or len(colliders.moves) == 0:
+                continue
+            if not is_held(b, q, a, lattice, walls):
                 level.u[n] += collider_share * real(colliders.moves[row, q, a] / dx)
 
 
 @always_inline
-def _is_held(b, q, axis, lattice, cells, kinds):
-    """Return whether a wall holds a node along an axis."""
+def _curvature_at(b, q, lattice, colliders):
+    """Return the sum of second differences of the distances at a node, 0 where some are unknown.
+
+    Over the square of the cell size, it is twice the mean curvature of the nearest face.
+    """
+    own, total = colliders.nodes[colliders.row[b], q, 3], 0.0
     for a in range(3):
-        step = q // 16 if a == 0 else (q // 4 % 4 if a == 1 else q % 4)
-        node = 4 * lattice.block[b, a] - 1 + step
-        if node <= 0 or node >= cells[a]:
-            kind = kinds[a, 0] if node <= 0 else kinds[a, 1]
-            if kind == STICK or (kind == SLIP and a == axis):
-                return True
-    return False
+        size = 16 if a == 0 else (4 if a == 1 else 1)
+        block_step = 9 if a == 0 else (3 if a == 1 else 1)
+        for side in (-1, 1):
+            block, node = b, q + side * size
+            if q // size % 4 == (3 if side > 0 else 0):
+                block = lattice.neighbors[27 * b + 13 + side * block_step]
+                node -= side * 4 * size
+            row = colliders.row[block] if block < len(colliders.row) else -1
+            if row < 0 or not colliders.nodes[row, node, 3] < np.inf:
+                return 0.0 * own
+            total += colliders.nodes[row, node, 3] - own
+    return total
 
 
 @kernel
@@ -183,11 +206,12 @@ def set_cells(rows, lattice, guess_scale, fields, level):
             zero = 0.0 * fill
             is_covered = free <= zero + MIN_FREE_PART
             relative = fill / np.maximum(free, zero + MIN_FREE_PART)
-            may_hold = (load(region, c) > zero) & (share > zero)
+            is_own = load(region, c) > zero
+            may_hold = is_own & (share > zero)
             is_wet = may_hold & ~is_covered & (relative >= zero + SURFACE_FILL)
             store(filled, c, select(is_wet, relative, zero))
             store(excess, c, fill - free)
-            store(covered, c, select(is_covered, zero + 1.0, zero))
+            store(covered, c, select(is_covered & is_own, zero + 1.0, zero))
             borders_air = mean_of_nodes(empty, high, b, x) > zero
             may_hold = is_wet | (may_hold & is_covered & ~borders_air)
             store(scale, c, select(may_hold, 1.0 / select(may_hold, share, zero + 1.0), zero))
@@ -305,17 +329,20 @@ def add_velocities(rows, dx, fields, level, velocity):
 
 
 @kernel
-def stop_at_colliders(rows, lattice, cells, kinds, colliders, dx, fields, velocity):
+def stop_at_colliders(rows, lattice, walls, colliders, dx, fields, velocity, reserved):
     """Stop the approach of nodes to colliders where no cell around them has pressure.
+
+    Free bodies do so themselves: such nodes of theirs are not reserved.
 
     Args:
         rows: Blocks to process, shape (n,).
         lattice: Blocks, Lattice.
-        cells, kinds: Cells of the domain, and kinds of its walls, which hold their nodes.
+        walls: Walls of the domain, which hold their nodes.
         colliders: ColliderNodes.
         dx: Cell size [m].
         fields: PressureFields; `cover` is lost.
         velocity: Velocities [m/s], shape (blocks, 256) (in/out).
+        reserved: 1 at the nodes at which colliders do not act later, shape (blocks, 64) (out).
     """
     low, filled, wet = pointer(lattice.low), pointer(fields.filled), pointer(fields.cover)
     for b in rows:
@@ -329,7 +356,10 @@ def stop_at_colliders(rows, lattice, cells, kinds, colliders, dx, fields, veloci
             before = after
         for q in range(64):
             distance = colliders.nodes[row, q, 3] / dx
-            if fields.cover[64 * b + q] > 0 or not distance < FREE_DISTANCE:
+            is_free = len(colliders.body) > 0 and colliders.body[row, q] >= 0
+            is_wet = fields.cover[64 * b + q] > 0
+            reserved[b, q] = is_wet or not is_free
+            if is_wet or is_free or not distance < FREE_DISTANCE:
                 continue
             approach = 0.0
             for a in range(3):
@@ -339,7 +369,7 @@ def stop_at_colliders(rows, lattice, cells, kinds, colliders, dx, fields, veloci
                 approach -= speed * colliders.nodes[row, q, a]
             part = min((FREE_DISTANCE - distance) / (FREE_DISTANCE - STOP_DISTANCE), 1.0)
             for a in range(3):
-                if _is_held(b, q, a, lattice, cells, kinds):
+                if is_held(b, q, a, lattice, walls):
                     continue
                 change = part * max(approach, 0.0) * colliders.nodes[row, q, a]
                 velocity[b, 4 * q + a] += velocity.dtype.type(change)

@@ -23,7 +23,7 @@ class Loads(SceneFeature):
 
     name = title = "loads"
     lists = {"load": TableList({"": Load})}
-    pushes_alone = True
+    suits_implicit_pressure = True
 
     def check_list(self, name: str, raw: list[dict], tables: SceneTables) -> Errors:
         """Return the errors of the loads.

@@ -40,7 +40,7 @@ from vgmpi.runtime.jit import always_inline, array_function, device_function, ke
 from . import body_contact, free_coupling
 from .contact_search import contact_search, find_pairs
 from .contact_sweeps import solve_contacts
-from .jointed_bodies import jointed_bodies
+from .jointed_bodies import JointedPushedBodies, jointed_bodies
 from .plan import RigidBodiesPlan
 from .surface_points import surface_points
 
@@ -126,12 +126,12 @@ class RigidBodies(ActiveFeature):
         """
         plan, movers = context.plan, context.movers
         self.features = context.features
-        self.holders: list[Any] = [f for f in self.features.values() if f.attaches_to_bodies]
         self.plan, self.movers, self.ranks = plan, movers, context.ranks
         self.bodies, count = movers.free, len(movers.free.rows)
         self.joints = jointed_bodies(own.joints, movers)
         self.number_of = np.full(len(movers.colliders), -1)
         self.number_of[self.bodies.rows] = np.arange(count)
+        self.pushed_bodies = JointedPushedBodies(self.bodies, self.joints, self.number_of)
         rows = np.array(plan.contact.friction)[len(plan.phases) :]
         self.friction = rows[np.minimum(self.bodies.rows, len(rows) - 1)]
         self.adhesion = self._adhesion_law()
@@ -149,6 +149,11 @@ class RigidBodies(ActiveFeature):
             HEADROOM * volume * max(phase.max_cell_mass for phase in plan.phases) / plan.dx**3
         )
 
+    def begin_step(self, span: StepSpan) -> None:
+        """Set the rows of the joints."""
+        if self.joints is not None:
+            self.joints.begin_step(self.movers.table, span.dt)
+
     def couple_nodes(self, nodes: NodeState, span: StepSpan, gravity: np.ndarray) -> None:
         """Advance the bodies by a step, and change the velocities of the nodes that touch them.
 
@@ -158,8 +163,6 @@ class RigidBodies(ActiveFeature):
             gravity: Acceleration, shape (3,) [m/s2].
         """
         bodies, dt = self.bodies, span.dt
-        if self.joints is not None:
-            self.joints.begin_step(self.movers.table, dt)
         bodies.momentum += dt * bodies.mass[:, None] * gravity
         bodies.set_velocities()
         self._couple(nodes, dt)
@@ -264,9 +267,10 @@ class RigidBodies(ActiveFeature):
             nodes.velocities, nodes.fields["offsets"].nodes, fields,
             NO_NODES if marks is None else marks,
         )  # fmt: skip
+        holders: list[Any] = [f for f in self.features.values() if f.attaches_to_bodies]
         while True:
             count = 0
-            for holder in self.holders:
+            for holder in holders:
                 count = holder.find_contacts(nodes, bodies.x, self.counts, self.contacts)
             count = find_contacts(
                 near, nodes.blocks, coupled, nodes.phases, nodes.walls, dt, self.plan.dx,

@@ -33,7 +33,7 @@ class RigidBodies(SceneFeature):
         )
     }
 
-    missing_engines = ("cuda",)
+    missing_engines, suits_implicit_pressure = ("cuda",), True
 
     def named_parts(self, scene: Any) -> list[tuple[str, tuple]]:
         """Return joints and bodies.

@@ -234,6 +234,52 @@ def solve_joints(rows, groups, inverse, v):
     _solve_rows(rows, groups, inverse, v)
 
 
+def join_blocks(inverse: np.ndarray) -> np.ndarray:
+    """Return the matrix (6 m, 6 m) of the inverse matrices (m, 6, 6) of bodies."""
+    m = len(inverse)
+    out = np.zeros((m, 6, m, 6))
+    out[np.arange(m), :, np.arange(m)] = inverse
+    return out.reshape(6 * m, 6 * m)
+
+
+@kernel
+def reduce_mobility(rows, groups, inverse, matrix):
+    """Subtract the answer of the rows that are at no bound from the mobility of bodies.
+
+    Args:
+        rows, groups, inverse: See `_solve_rows`.
+        matrix: Mobility of the bodies, that without joints at first (in/out), shape (6 m, 6 m).
+    """
+    for g in range(len(groups) - 1):
+        low, high = groups[g], groups[g + 1]
+        n = high - low
+        moved, full = np.zeros((n, 2, 6)), np.zeros((n, n))
+        _fill_matrix(rows, low, high, inverse, moved, full)
+        state, impulse, right = np.zeros(n, np.int64), np.zeros(n), np.zeros(n)
+        for i in range(n):
+            q = low + i
+            full[i, i] += rows.softness[q]
+            state[i] = not rows.low[q] < rows.impulse[q] < rows.high[q]
+        for k in range(len(inverse)):
+            for c in range(6):
+                touches = False
+                for i in range(n):
+                    right[i] = impulse[i] = 0.0
+                    for s in range(2):
+                        if rows.bodies[low + i, s] == k:
+                            right[i] -= moved[i, s, c]
+                            touches = True
+                if not touches:
+                    continue
+                _solve_free(full, right, state, impulse)
+                for i in range(n):
+                    for s in range(2):
+                        body = rows.bodies[low + i, s]
+                        if body >= 0:
+                            for a in range(6):
+                                matrix[6 * body + a, 6 * k + c] += moved[i, s, a] * impulse[i]
+
+
 @kernel
 def add_impulses(rows, momentum, spin):
     """Give the bodies the impulses of the rows.

@@ -129,6 +129,33 @@ class JointedBodies:
         self.rows.impulse[:] = 0.0
         joint_impulses.solve_joints(self.rows, self.groups, self.inverse, bodies.v)
 
+    def enforce(self, mass: np.ndarray, inertia: np.ndarray, v: np.ndarray) -> None:
+        """Change velocities of the bodies so that the joints hold; nothing else acts.
+
+        Args:
+            mass, inertia: See `joint_impulses.invert_inertia`.
+            v: Velocities and angular velocities, shape (m, 6) (in/out).
+        """
+        joint_impulses.invert_inertia(mass, inertia, self.inverse)
+        self.rows.impulse[:] = 0.0
+        joint_impulses.solve_joints(self.rows, self.groups, self.inverse, v)
+
+    def mobility(self, mass: np.ndarray, inertia: np.ndarray) -> np.ndarray:
+        """Return the changes of the velocities per impulse on the bodies, with the joints' answer.
+
+        Rows at a bound of their impulses, as `enforce` has left them, do not answer.
+
+        Args:
+            mass, inertia: See `joint_impulses.invert_inertia`.
+
+        Returns:
+            Matrix, shape (6 m, 6 m).
+        """
+        joint_impulses.invert_inertia(mass, inertia, self.inverse)
+        matrix = joint_impulses.join_blocks(self.inverse)
+        joint_impulses.reduce_mobility(self.rows, self.groups, self.inverse, matrix)
+        return matrix
+
     def add_impulses(self) -> None:
         """Give the bodies the impulses of the joints."""
         joint_impulses.add_impulses(self.rows, self.bodies.momentum, self.bodies.spin)
@@ -176,6 +203,52 @@ class JointedBodies:
     def restore(self, saved: dict) -> None:
         """Restore a saved state."""
         self.coordinate = np.array(saved["coordinate"])
+
+
+class JointedPushedBodies:
+    """Free bodies as what pushes them sees them: a `PushedBodies` of vgmpi/features.
+
+    Attributes:
+        number_of: Number of the free body of each collider, -1 if it is not free, (colliders,).
+    """
+
+    def __init__(self, bodies: FreeBodies, joints: JointedBodies | None, number_of: np.ndarray):
+        """Take the bodies, their joints, and the numbers of the bodies by collider."""
+        self.bodies, self.joints, self.number_of = bodies, joints, number_of
+
+    def centers(self) -> np.ndarray:
+        """Return the centers of the bodies, see `PushedBodies`."""
+        return self.bodies.x
+
+    def predict_velocities(self, dt: float, gravity: np.ndarray) -> np.ndarray:
+        """Return the velocities of the bodies after a step without flow and contact.
+
+        Args:
+            dt, gravity: See `PushedBodies`.
+        """
+        v = self.bodies.v.copy()
+        v[:, :3] += dt * gravity
+        if self.joints is not None:
+            self.joints.enforce(self.bodies.mass, self.bodies.turned_inertia(), v)
+        return v
+
+    def mobility(self) -> np.ndarray:
+        """Return the changes of the velocities per impulse, see `PushedBodies`."""
+        mass, inertia = self.bodies.mass, self.bodies.turned_inertia()
+        if self.joints is not None:
+            return self.joints.mobility(mass, inertia)
+        inverse = np.zeros((len(mass), 6, 6))
+        joint_impulses.invert_inertia(mass, inertia, inverse)
+        return joint_impulses.join_blocks(inverse)
+
+    def add_impulses(self, impulses: np.ndarray) -> None:
+        """Give the bodies impulses, see `PushedBodies`.
+
+        Args:
+            impulses: See `PushedBodies`.
+        """
+        self.bodies.momentum += impulses[:, :3]
+        self.bodies.spin += impulses[:, 3:]
 
 
 def jointed_bodies(joints: Sequence[Joint], movers: MovingColliders) -> JointedBodies | None:

@@ -131,7 +131,7 @@ class WaveZones(SceneFeature):
     name, title = "wave_zones", "wave zones"
     lists = {"wave_zone": TableList({"": WaveZone})}
     missing_engines = ("cuda",)
-    pushes_alone = True
+    suits_implicit_pressure = True
 
     def check_list(self, name: str, raw: list[dict], tables: SceneTables) -> Errors:
         """Return the errors of the wave zones.

@@ -13,6 +13,7 @@ from vgmpi.kernels.simd.row_ops import (
     shift_from_south,
 )
 from vgmpi.kernels.simd.vector16 import load
+from vgmpi.kernels.wall_boundary import SLIP, STICK
 from vgmpi.runtime.jit import always_inline
 
 
@@ -126,3 +127,16 @@ def divergence(u, blocks, b, x):
     total = total + (((y + yz) - (o + z)) + ((py + pyz) - (p + pz)))
     (o, z, y, yz), (p, pz, py, pyz) = _nodes_of_cells(u, 192, blocks, b, x, 128)
     return 0.25 * (total + (((z + yz) - (o + y)) + ((pz + pyz) - (p + py))))
+
+
+@always_inline
+def is_held(b, q, axis, lattice, walls):
+    """Return whether a wall holds a node along an axis."""
+    for a in range(3):
+        step = q // 16 if a == 0 else (q // 4 % 4 if a == 1 else q % 4)
+        node = 4 * lattice.block[b, a] - 1 + step
+        if node <= 0 or node >= walls.cells[a]:
+            kind = walls.kinds[a, 0] if node <= 0 else walls.kinds[a, 1]
+            if kind == STICK or (kind == SLIP and a == axis):
+                return True
+    return False

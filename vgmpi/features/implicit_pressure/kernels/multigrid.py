@@ -56,13 +56,12 @@ def count_responses(rows, counted, limit, level):
 
 
 @kernel
-def sum_responses(rows, children, wet, finer, counted, sums):
+def sum_responses(rows, children, finer, counted, sums):
     """Sum responses and cells with pressure of the finer level for some coarse blocks.
 
     Args:
-        rows: Coarse blocks, shape (n,).
+        rows: Coarse blocks with cells with pressure near by, shape (n,).
         children: See CoarseBlocks.
-        wet: Whether blocks of the finer level have cells with pressure, shape (blocks + 1,).
         finer: LevelFields of the finer level, see `count_responses`.
         counted: 1 for cells of the finer level that this rank counts, else 0, flat.
         sums: Whole numbers by coarse block, shape (m, 5, 64) (out).
@@ -70,12 +69,7 @@ def sum_responses(rows, children, wet, finer, counted, sums):
     nodes, partial, column = np.empty((4, 9, 9, 9)), np.empty((4, 4, 9, 9)), np.empty((4, 4, 4, 9))
     cells = np.empty((9, 9, 9))
     for b in rows:
-        is_near = False
-        for n in range(64 * b, 64 * (b + 1)):
-            is_near = is_near or wet[children[n]]
         sums[b] = 0.0
-        if not is_near:
-            continue
         for x in range(9):  # from one before the block
             for y in range(9):
                 line = 64 * b + 16 * ((x + 3) // 4) + 4 * ((y + 3) // 4)
