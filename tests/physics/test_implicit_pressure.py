@@ -9,7 +9,7 @@ import pytest
 
 import vgmpi
 from tests.physics import test_hydrostatic, test_slosh
-from tests.support.simulate import advance, begin, totals
+from tests.support.simulate import advance, begin, by_id, totals
 from vgmpi.features.implicit_pressure import pressure_solver
 from vgmpi.tools.bench.board.board_cases import CASES
 from vgmpi.tools.bench.board.board_run import timed_run
@@ -181,3 +181,40 @@ def test_water_cases_of_the_board(name, max_error, max_steps):
     run = timed_run(solver, case)
     assert run["error"] < max_error
     assert run["steps"] < max_steps
+
+
+def test_the_pressure_of_vortices(tmp_path):
+    """Particles carry the pressure of the flow: rho U^2 / 4 (cos 2kx + cos 2kz) in a full box."""
+    speed, edge = 0.5, 0.24  # [m/s], [m]
+    k, half = np.pi / edge, speed / 2
+    simulation, _ = begin(
+        tmp_path,
+        f"""
+[domain]
+size = [{edge}, 0.04, {edge}]
+cell = 0.01
+gravity = [0, 0, 0]
+[time]
+end = 1
+frames = 2
+[accuracy]
+{IMPLICIT}
+[material.water]
+kind = "fluid"
+max_speed = 1
+[[object]]
+name = "water"
+material = "water"
+initial_pressure = "zero"
+shape = {{ box = [[0, 0, 0], [{edge}, 0.04, {edge}]] }}
+velocity_mode = [
+  {{ amplitude = [{half}, 0, {-half}], wave_vector = [{k}, 0, {k}] }},
+  {{ amplitude = [{half}, 0, {half}], wave_vector = [{k}, 0, {-k}] }},
+]
+""",
+    )
+    advance(simulation, 0.03)
+    x, pressure = by_id(simulation, "x", "pressure")
+    exact = 250 * speed**2 * (np.cos(2 * k * x[:, 0]) + np.cos(2 * k * x[:, 2]))
+    error = (pressure - pressure.mean()) - exact
+    assert np.sqrt((error**2).mean()) < 0.06 * exact.std()
