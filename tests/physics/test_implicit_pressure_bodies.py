@@ -106,7 +106,8 @@ def test_a_block_floats(tmp_path, offset, limit):
     assert max(np.abs(np.array(heights) - 0.12)) < abs(offset) + 0.1 * DX
 
 
-def test_momentum(tmp_path):
+@pytest.mark.parametrize("viscosity", ["explicit", "implicit"])
+def test_momentum(tmp_path, viscosity):
     """Of a drop that hits a tilted block in empty space, to rounding."""
     block = (
         BODY
@@ -119,6 +120,9 @@ shape = { box = [[-0.05, -0.04, -0.02], [0.05, 0.04, 0.02]] }
     text = scene(block, SIZE=0.24, HEIGHT=0.24, DENSITY=200, GRAVITY=0, PRECISION="double",
                  INITIAL="zero", VELOCITY="velocity = [0.1, 0, -1]",
                  WATER=[[0.09, 0.09, 0.12], [0.15, 0.14, 0.18]])  # fmt: skip
+    if viscosity == "implicit":
+        text = text.replace("[accuracy]", '[accuracy]\nviscosity = "implicit"')
+        text = text.replace("max_speed = 2", "max_speed = 2\nviscosity = 5")
     simulation, _ = begin(tmp_path, text)
     bodies = bodies_of(simulation)
 

@@ -96,12 +96,13 @@ def test_the_numpy_engine_computes_them(tmp_path, keys):
 
 
 @pytest.mark.parametrize("engine", ["cuda", "numpy"])
-def test_one_line_names_an_implicit_pressure(tmp_path, capsys, engine):
-    text = '[accuracy]\npressure = "implicit"\n' + SCENE
+@pytest.mark.parametrize("system", ["pressure", "viscosity"])
+def test_one_line_names_an_implicit_system(tmp_path, capsys, engine, system):
+    text = f'[accuracy]\n{system} = "implicit"\n' + SCENE
     for key in KEYS:
         text = text.replace(key, "")
     (tmp_path / "scene.toml").write_text(text)
     scene = str(tmp_path / "scene.toml")
     assert cli.main([scene, "--engine", engine, "-o", str(tmp_path / "out")]) == 2
-    name = f"no implicit pressure: accuracy.pressure ({scene}:2)"
+    name = f"no implicit {system}: accuracy.{system} ({scene}:2)"
     assert capsys.readouterr().err.strip() == f"--engine {engine} has {name}; engine cpu has"

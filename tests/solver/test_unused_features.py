@@ -363,6 +363,12 @@ FEATURES = {
          "store_node_pressure", "store_moves", "CoarseBlocks", "WetRows", "count_responses",
          "sum_responses", "set_responses", "set_diagonal", "restrict", "set_residual", "cycle"},
     ),
+    "an implicit viscosity": (
+        PLAIN.replace("[accuracy]", '[accuracy]\nviscosity = "implicit"')
+        .replace('"fluid"', '"fluid"\nviscosity = 10'),
+        {"features.implicit_viscosity"},
+        {"ViscousFields", "PhaseNodes", "set_nodes", "set_cells", "sweep", "store_velocities"},
+    ),
     "an inlet": (PLAIN + TAP, {"features.inlets_outlets", "plan.features"}, set()),
     "an outlet": (PLAIN + DRAIN, {"features.inlets_outlets"}, set()),
     "a probe": (

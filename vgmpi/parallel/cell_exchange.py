@@ -17,6 +17,11 @@ from .exchange_topology import ExchangeTopology
 from .node_overlap import NEIGHBORS
 
 MARGIN = 2  # [blocks] around this rank's own blocks
+# cells or nodes of a patch outside of its block: (place in the block, step to that block) along an
+# axis. A patch has the cells -1 to 5 and the nodes -1 to 6
+CELLS_OF_PATCH = ((0, 1), (1, 1), (3, -1))
+NODES_OF_PATCH = ((0, 1), (1, 1), (2, 1), (3, -1))
+Reach = tuple[tuple[int, int], ...]
 
 
 class CellTopology(NamedTuple):
@@ -29,23 +34,20 @@ class CellTopology(NamedTuple):
     receives: dict[int, np.ndarray]  # rank -> flat indices of the cells to receive
 
 
-def _spread_along(values: np.ndarray, axis: int) -> np.ndarray:
-    """Return which cells along one axis are in the patches of blocks that are True.
-
-    A patch has the cells -1 to 5 of its block.
-    """
+def _spread_along(values: np.ndarray, axis: int, reach: Reach) -> np.ndarray:
+    """Return which cells along one axis are in the patches of blocks that are True."""
     blocks = np.moveaxis(values, axis, 0)
     cells = np.repeat(blocks, BLOCK_EDGE, axis=0)
-    for cell, block_step in ((0, 1), (1, 1), (3, -1)):
+    for cell, block_step in reach:
         shifted = np.roll(blocks, block_step, axis=0)  # the margin is empty
         cells[cell::BLOCK_EDGE] |= shifted
     return np.moveaxis(cells, 0, axis)
 
 
-def patch_cells(blocks: np.ndarray) -> np.ndarray:
+def patch_cells(blocks: np.ndarray, reach: Reach = CELLS_OF_PATCH) -> np.ndarray:
     """Return the map of the cells in the patches of blocks, four times as long along each axis."""
     for axis in range(3):
-        blocks = _spread_along(blocks, axis)
+        blocks = _spread_along(blocks, axis, reach)
     return blocks
 
 
@@ -57,15 +59,19 @@ def _with_neighbors(cells: np.ndarray) -> np.ndarray:
 
 
 def cell_topology(
-    tables: ExchangeTopology, census: BlockDirectory, lattice: BlockLattice, rank: int
-) -> CellTopology:
+    tables: ExchangeTopology, census: BlockDirectory, lattice: BlockLattice, rank: int,
+    reach: Reach = CELLS_OF_PATCH,
+) -> CellTopology:  # fmt: skip
     """Return the cells of a rank, and those that it exchanges with others.
+
+    With NODES_OF_PATCH nodes take the place of cells: a rank computes those of its patches.
 
     Args:
         tables: Topology of this rank.
         census: Segments of this rank and nearby ones.
         lattice: Lattice of the blocks.
         rank: This rank.
+        reach: CELLS_OF_PATCH or NODES_OF_PATCH.
     """
     count = len(tables.coordinates)
     if not count:
@@ -84,7 +90,7 @@ def cell_topology(
         """Return the cells in the patches of some blocks (n, 3)."""
         occupied = np.zeros(shape, bool)
         occupied[tuple((blocks - low).T)] = True
-        return patch_cells(occupied)
+        return patch_cells(occupied, reach)
 
     def _index_of(cells: np.ndarray) -> np.ndarray:
         """Return the flat indices of cells on the map, in the order of their places."""
@@ -103,12 +109,12 @@ def cell_topology(
     counted = mine.copy()
     inside = ((block >= low) & (block < low + shape)).all(1)
     sends, receives = {}, {}
-    reach = _with_neighbors(mine)
+    surroundings = _with_neighbors(mine)
     for other in np.unique(census.owner[inside & (census.owner != rank)]):
         theirs = _map_of(block[inside & (census.owner == other)])
         if other < rank:
             counted &= ~theirs
-        sent, received = mine & _with_neighbors(theirs) & ~theirs, theirs & reach & ~mine
+        sent, received = mine & _with_neighbors(theirs) & ~theirs, theirs & surroundings & ~mine
         if sent.any():
             sends[int(other)] = _index_of(sent)
         if received.any():

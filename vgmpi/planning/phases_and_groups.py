@@ -65,6 +65,7 @@ class GroupPlan(NamedTuple):
     extra_channels: tuple[tuple[str, str, int], ...] = ()  # name, unit and width, of features
     driven: bool = False  # a feature prescribes the velocity of its phase
     volume: VolumeTerms = VolumeTerms()  # how a liquid's volume follows the flow
+    separate_viscosity: bool = False  # its law has no viscosity: a feature applies it
     carrier: str = ""  # feature that moves its particles outside the grid, see `ActiveFeature`
 
     @property

@@ -348,7 +348,10 @@ def _friction_table(
 
 def _rate(scene: Scene, groups: tuple[GroupPlan, ...], features: tuple[FeaturePlan, ...]) -> float:
     """Return the lower bound of 1 / dt [1/s] due to viscosity, features and gravity."""
-    viscosity = max(scene.material[group.material].kinematic_viscosity for group in groups)
+    viscosity = max(
+        0.0 if group.separate_viscosity else scene.material[group.material].kinematic_viscosity
+        for group in groups
+    )
     rates = (6.0 * viscosity / scene.domain.cell**2, *(each.min_rate for each in features))
     return max(*rates, falling_rate(scene))
 
@@ -407,7 +410,7 @@ def time_step_bounds(scene: Scene, plan: Plan, stiffened: bool = False) -> list[
             wave *= math.sqrt(material.stiffening) if stiffened else 1.0
             if wave + speeds[k] > 0:  # waves do not bound the step with an implicit pressure
                 bounds.append((plan.time_step.cfl * dx / (wave + speeds[k]), f"material {name!r}"))
-            if material.kinematic_viscosity > 0:
+            if material.kinematic_viscosity > 0 and not group.separate_viscosity:
                 bound = dx**2 / (6.0 * material.kinematic_viscosity)
                 bounds.append((bound, f"the viscosity of material {name!r}"))
     return sorted(bounds)

@@ -24,9 +24,9 @@ from .sections import SECTIONS
 # orders sums: part of the results.
 FEATURES = (
     "mixtures", "color_transfer", "flip",
-    "wave_zones", "loads", "moving_colliders", "implicit_pressure", "surface_slip", "pinned_parts",
-    "rigid_bodies", "prescribed_motion", "reactions", "inlets_outlets", "releases", "thin_walls",
-    "shifting",
+    "wave_zones", "loads", "moving_colliders", "surface_slip", "implicit_viscosity",
+    "implicit_pressure", "pinned_parts", "rigid_bodies", "prescribed_motion", "reactions",
+    "inlets_outlets", "releases", "thin_walls", "shifting",
 )  # fmt: skip
 
 Errors = list[tuple[tuple, str]]  # (path of a key, message)

@@ -70,12 +70,16 @@ def _finite(law: Adhesion) -> frozenset[int]:
 def plan_surface_slip(draft: PlanDraft) -> SurfaceSlipPlan:
     """Plan the slip of viscous liquids; if several share a phase, the largest viscosity counts.
 
+    It is infinite where the stress of particles does not tell it.
+
     Args:
         draft: Phases and groups of a scene with slip lengths.
     """
     viscosities = [0.0] * len(draft.phases)
     for group in draft.groups:
         value = draft.scene.material[group.material].dynamic_viscosity
+        if value and group.separate_viscosity:
+            value = math.inf  # no stress of particles is to be shared among the nodes
         viscosities[group.phase] = max(viscosities[group.phase], value)
     objects = tuple(
         SlipLengths(obj.name, obj.slip_length)
