@@ -55,7 +55,7 @@ wall = "bottom"
 sampling_rate = 100
 """
 BODIES = "bodies of particles that are held or moved, and colliders with friction"
-WALLS = "walls other than slip and stick"
+WALLS = "walls that open"
 
 
 def refusal(tmp_path, text):
@@ -74,7 +74,10 @@ def refusal(tmp_path, text):
         (
             "domain.boundary",
             WALLS,
-            SCENE.replace("cell = 0.02", 'cell = 0.02\nboundary = "separate"'),
+            SCENE.replace(
+                "cell = 0.02",
+                'cell = 0.02\nboundary = { east = { kind = "slip", removal_time = 0.1 } }',
+            ),
         ),
         (
             "object.pool.release_time",

@@ -57,13 +57,13 @@ collider = true
 shape = { cylinder = { endpoints = [[0.4, 0.1, -0.1], [0.4, 0.1, 0.5]], radius = 0.03 } }
 """
 
-# bodies that float, sink and hang from joints, and drops above the pool: ranks have nodes with
-# liquid next to cells with pressure of other ranks
+# bodies that float, sink and hang from joints, a jet, walls that let go and open ones, and drops
+# above the pool: ranks have nodes with liquid next to cells with pressure of other ranks
 BODIES = """
 [domain]
 size = [0.48, 0.16, 0.40]
 cell = 0.02
-boundary = "slip"
+boundary = { default = "slip", bottom = { kind = "separate", friction = 0.4 }, east = "open" }
 [time]
 end = 0.15
 frames = 3
@@ -80,7 +80,7 @@ youngs_modulus = "1 MPa"
 name = "pool"
 material = "water"
 subtract = true
-shape = { box = [[0, 0, 0], [0.48, 0.16, 0.16]] }
+shape = { box = [[0, 0, 0], [0.44, 0.16, 0.16]] }
 [[object]]
 name = "drops"
 material = "water"
@@ -104,6 +104,12 @@ name = "arm"
 material = "wood"
 rigid = true
 shape = { box = [[0.3, 0.04, 0.12], [0.4, 0.12, 0.18]] }
+[[inlet]]
+name = "pipe"
+material = "water"
+disc = { center = [0.2, 0.08, 0.36], radius = 0.03 }
+direction = [0, 0, -1]
+volume_flow_rate = "4 l/s"
 [[joint]]
 kind = "hinge"
 between = ["paddle"]
@@ -122,11 +128,11 @@ def bodies(tmp_path_factory):
 
 
 @RANKS_AND_THREADS
-def test_free_bodies_on_any_ranks_and_threads(bodies, tmp_path, start, ranks, flags):
+def test_bodies_and_walls_on_any_ranks_and_threads(bodies, tmp_path, start, ranks, flags):
     assert_same_files(*bodies, tmp_path / "out", start, ranks, *flags)
 
 
-def test_free_bodies_after_a_restart(bodies, tmp_path):
+def test_bodies_and_walls_after_a_restart(bodies, tmp_path):
     assert_same_after_stop(*bodies, tmp_path / "out", 9)
 
 

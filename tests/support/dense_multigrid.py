@@ -142,7 +142,7 @@ def conjugate_gradients(level, right, phi, iterations=4):
 
 def dense_values(solver, values, size, axes=1):
     """Numbers of the blocks on the grid of the domain, from one cell before it on."""
-    shape = [n + size for n in solver.domain]
+    shape = [n + size for n in solver.domain[0]]
     grid = np.zeros((axes, *shape))
     values = values.reshape(-1, axes, 64)[: solver.count]
     offsets = np.stack(np.unravel_index(np.arange(64), (4, 4, 4)), 1)

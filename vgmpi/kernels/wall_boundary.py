@@ -38,8 +38,9 @@ from .reaction_impulses import (
 )
 
 # 0: a separate wall that pushes resolved surfaces by contact, not at its nodes; YIELDING: one for
-# everything else but liquids
-STICK, SLIP, SEPARATE, OPEN, YIELDING = 1, 2, 3, 4, 5
+# everything else but liquids; RELEASING: one for liquids whose pressure the grid finds, a mirror
+# whose nodes may leave it (features/implicit_pressure)
+STICK, SLIP, SEPARATE, OPEN, YIELDING, RELEASING = 1, 2, 3, 4, 5, 6
 KINDS = {"stick": STICK, "slip": SLIP, "separate": SEPARATE, "open": OPEN}
 SIDE = 8  # nodes along an edge of a patch
 # numbers of a patch from a node to the next along x, y, z
@@ -163,8 +164,9 @@ def fill_ghost_velocity(patch, mirror, ghosts, fraction, s):
                 i, j = q // SIDE, q % SIDE
                 node = i * first + j * second
                 inner, ghost = node + (wall + step) * across, node + (wall - step) * across
-                slips = kind == SLIP or (kind == YIELDING and _is_at_rest(patch, ghost))
-                if kind == STICK or kind == SLIP:
+                mirrors = kind == SLIP or kind == RELEASING
+                slips = mirrors or (kind == YIELDING and _is_at_rest(patch, ghost))
+                if kind == STICK or mirrors:
                     patch[ghost + 3] = patch[inner + 3]
                 for c in range(3):
                     if kind == STICK or (slips and c == a):

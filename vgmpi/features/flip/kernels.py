@@ -23,6 +23,7 @@ from vgmpi.kernels.transfer.auxiliary_gather import (
     CHANGE,
     VelocityOnly,
     advection_velocity,
+    bounded_volume_rate,
     displacement,
     gather_batch,
     load_mirrored_patch,
@@ -80,7 +81,9 @@ class FlipGather(NamedTuple):
     patch: int  # number of its patch among the auxiliary ones
 
 
-for _dispatch in (advection_velocity, displacement, velocity_gradient, wave_speed_squared):
+for _dispatch in (
+    advection_velocity, displacement, velocity_gradient, wave_speed_squared, bounded_volume_rate,
+):  # fmt: skip
     _dispatch.register(FlipGather)(_dispatch.table[VelocityOnly])
 
 

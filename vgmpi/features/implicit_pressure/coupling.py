@@ -65,7 +65,13 @@ class ImplicitPressure(ActiveFeature):
         self.near_cells = np.flatnonzero(is_near[self.solver.lattice.high.reshape(-1, 8)].any(1))
         if self.colliders is not None:  # they act on the liquid by the pressure
             self.reserved_nodes = np.ones((len(tables.phase), 64), np.uint8)
-        self.outside = (~inside).astype(real).reshape(-1)
+        _, closed = self.solver.domain
+        is_beyond = ((index < 0) & closed[:, 0]) | ((index >= self.plan.cells) & closed[:, 1])
+        self.outside = is_beyond.any(2).astype(real).reshape(-1)
+        kinds = np.array([kind for kind, _ in self.plan.walls.liquids]).reshape(3, 2)
+        separates, last = kinds == "separate", np.array(self.plan.cells)
+        on_wall = ((index == 0) & separates[:, 0]) | ((index == last) & separates[:, 1])
+        self.separating = np.flatnonzero(on_wall.any((1, 2)))
 
     def couple_nodes(self, nodes: NodeState, span: StepSpan, gravity: np.ndarray) -> None:
         """Change the velocities of the nodes in a step, and find the displacements.
@@ -90,6 +96,15 @@ class ImplicitPressure(ActiveFeature):
         guess_scale = real(dt * self.stiffness)
         solver.each(blocks, pressure_system.set_cells, lattice, guess_scale, fields, level)
         exchange.exchange(fields.filled)
+        if len(self.separating):
+            exchange.exchange(fields.phi)
+            rows = self.separating
+            nodes.call(
+                pressure_system.release_nodes, rows, lattice, walls, velocity, plan.dx, fields,
+                level,
+            )  # fmt: skip
+            solver.each(blocks, pressure_system.set_cells, lattice, guess_scale, fields, level)
+            exchange.exchange(fields.filled)
         self._spread_inward(nodes)
         cells, wet = self._find_wet_blocks()
         exchange.exchange(fields.phi)
@@ -102,6 +117,10 @@ class ImplicitPressure(ActiveFeature):
             bodies.add_impulses(solver.bodies.find_impulses(fields.phi))
             solver.bodies = None  # they stand while positions are corrected
         solver.each(wet, pressure_system.add_velocities, plan.dx, fields, level, velocity)
+        nodes.call(
+            pressure_system.hold_at_separating_walls, self.separating, lattice, walls, plan.dx,
+            fields, level, velocity,
+        )  # fmt: skip
         scale = real(1.0 / (dt * self.stiffness))
         solver.each(wet, pressure_system.store_node_pressure, lattice, scale, fields)
         if len(self.near_colliders):

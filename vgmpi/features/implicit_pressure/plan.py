@@ -4,6 +4,8 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from vgmpi.planning.feature_plan import FeaturePlan, PlanDraft
 from vgmpi.planning.phases_and_groups import GroupPlan, PhasePlan, VolumeTerms, WaveTerms
 from vgmpi.planning.plan import Plan, time_step_bounds
@@ -11,7 +13,6 @@ from vgmpi.planning.step_costs import StageCost, StepCosts
 from vgmpi.scene.scene import Scene
 from vgmpi.scene.scene_feature import features
 
-WALL_KINDS = ("slip", "stick")
 HELD_BODIES = "bodies of particles that are held or moved, and colliders with friction"
 COST = StageCost(0.1, 1.2, 0.2)  # per particle, relative to the step of a fluid's
 DISPLACEMENT = "displacement"  # nodal displacement [cells] and relative pressure, for particles
@@ -63,7 +64,9 @@ class ImplicitPressurePlan(FeaturePlan):
         from .pressure_solver import PressureSolver
 
         plan = context.plan
-        solver = PressureSolver(context.ranks, plan.cells, plan.real)
+        is_closed = [kind != "open" for kind, _ in plan.walls.liquids]
+        closed = np.array(is_closed).reshape(3, 2)
+        solver = PressureSolver(context.ranks, plan.cells, closed, plan.real)
         return ImplicitPressure(context, solver)
 
 
@@ -149,9 +152,6 @@ def obstacles(
         if probe.measures_reaction:
             key = "wall" if probe.wall else "collider"
             _refuse(("probe", k, key), "probes of forces on a wall or collider")
-    kinds = {kind for kind, _ in scene.domain.walls}
-    if not kinds <= set(WALL_KINDS) or any(
-        time is not None for time in scene.domain.wall_opening_times
-    ):
-        _refuse(("domain", "boundary"), "walls other than slip and stick")
+    if any(time is not None for time in scene.domain.wall_opening_times):
+        _refuse(("domain", "boundary"), "walls that open")
     return wrong

@@ -40,9 +40,11 @@ SHARED_BLOCKS = 800
 class CoarseLevels:
     """Coarse levels of a multigrid cycle, which all ranks hold and compute alike."""
 
-    def __init__(self, blocks: CoarseBlocks, ranks: SerialCommunicator, real: np.dtype):
-        """Take the blocks, the communicator, and the type of the numbers."""
-        self.blocks, self.ranks, self.real = blocks, ranks, real
+    def __init__(
+        self, blocks: CoarseBlocks, closed: np.ndarray, ranks: SerialCommunicator, real: np.dtype
+    ):
+        """Take the blocks, whether walls are closed, the communicator, and the type of numbers."""
+        self.blocks, self.closed, self.ranks, self.real = blocks, closed, ranks, real
         count = len(blocks.parent)
         self.level = level_fields(count, real)
         self.sums, self.response_sums = np.zeros((count, 64)), np.zeros((count, 5, 64))
@@ -79,7 +81,8 @@ class CoarseLevels:
             if number == 0 and self.ranks.size > 1:
                 sums[rows] = self.ranks.sum(sums[rows].astype(np.int64))
             size = blocks.sizes[number + 1]
-            call(multigrid.set_responses, rows, blocks.lattice.block, size, sums, level)
+            block = blocks.lattice.block
+            call(multigrid.set_responses, rows, block, size, self.closed, sums, level)
             call(multigrid.set_diagonal, rows, blocks.lattice, level)
             own = level.scale[64 * first : 64 * last].reshape(-1, 64)
             has_cells[rows] = np.any(own > 0, 1)
@@ -132,9 +135,19 @@ class PressureSolver:
         bodies: Free bodies that answer to the pressure, or None.
     """
 
-    def __init__(self, ranks: SerialCommunicator, cells: tuple[int, int, int], real: np.dtype):
-        """Take the communicator, the cells of the domain and the type of the numbers."""
-        self.ranks, self.domain, self.real = ranks, cells, real
+    def __init__(
+        self, ranks: SerialCommunicator, cells: tuple[int, int, int], closed: np.ndarray,
+        real: np.dtype,
+    ):  # fmt: skip
+        """Take the domain.
+
+        Args:
+            ranks: Communicator.
+            cells: Cells of the domain.
+            closed: Whether its walls hold their nodes across, shape (3, 2).
+            real: Type of the numbers.
+        """
+        self.ranks, self.domain, self.real = ranks, (cells, closed), real
         self.exchange: CellExchange | None = None
         self.coarse: CoarseLevels | None = None
         self.bodies: BodyResponse | None = None
@@ -282,8 +295,9 @@ class PressureSolver:
         own = [float(np.abs(residual).max(initial=0)), float(self.coarse is None)]
         magnitude, is_new = self.ranks.max(np.array(own))
         if is_new:
-            blocks = find_coarse_blocks(self.lattice.block, self.domain, self.ranks)
-            self.coarse = CoarseLevels(blocks, self.ranks, self.real)
+            cells, closed = self.domain
+            blocks = find_coarse_blocks(self.lattice.block, cells, self.ranks)
+            self.coarse = CoarseLevels(blocks, closed, self.ranks, self.real)
         assert self.coarse is not None
         self.coarse.set_systems(self._call_kernel, self.level, (self.counted, self.counted_nodes))
         if not 0 < magnitude < math.inf:

@@ -21,7 +21,13 @@ from vgmpi.kernels.simd.row_ops import (
     shift_from_south,
 )
 from vgmpi.kernels.simd.vector16 import load, pointer, store
-from vgmpi.kernels.wall_boundary import SLIP, STICK
+from vgmpi.kernels.wall_boundary import (
+    OPEN,
+    RELEASING,
+    SLIP,
+    STICK,
+    apply_coulomb_friction,
+)
 from vgmpi.materials.tensor_math.select import select
 from vgmpi.runtime.aligned_arrays import aligned_zeros
 from vgmpi.runtime.jit import always_inline, kernel
@@ -111,13 +117,15 @@ def set_nodes(rows, lattice, walls, velocity, pressure, colliders, unit, dx, fie
             for a in range(3):
                 step = q // 16 if a == 0 else (q // 4 % 4 if a == 1 else q % 4)
                 node = 4 * lattice.block[b, a] - 1 + step
-                inside = inside and 0 <= node <= walls.cells[a]
-                if node == 0 or node == walls.cells[a]:
-                    kind = walls.kinds[a, 0] if node == 0 else walls.kinds[a, 1]
+                kind = walls.kinds[a, 0] if node <= 0 else walls.kinds[a, 1]
+                is_inside = 0 <= node <= walls.cells[a]
+                inside = inside and (is_inside or kind == OPEN)
+                if (node == 0 or node == walls.cells[a]) and kind != OPEN:
                     images *= real(2.0)
                     for c in range(3):
-                        if kind == STICK or (kind == SLIP and c == a):
+                        if kind == STICK or (kind in (SLIP, RELEASING) and c == a):
                             level.inverse[192 * b + 64 * c + q] = zero
+                            level.u[192 * b + 64 * c + q] = zero
             if not inside:
                 for a in range(3):
                     level.inverse[192 * b + 64 * a + q] = zero
@@ -306,6 +314,108 @@ def set_excess(rows, lattice, fields, level):
             excess = select(lowest > zero, excess, np.maximum(excess, zero))
             store(residual, c, select(fill > zero, excess, zero))
             low, own = own, high
+
+
+@always_inline
+def _push_across(b, q, axis, lattice, fields):
+    """Return D^T phi at a node along an axis."""
+    total = 0.0
+    for corner in range(8):  # of the cells around it, those below it where a bit is 0
+        cell = 0
+        block_row = 8 * b
+        for a in range(3):
+            step = q // 16 if a == 0 else (q // 4 % 4 if a == 1 else q % 4)
+            size = 16 if a == 0 else (4 if a == 1 else 1)
+            weight = 4 if a == 0 else (2 if a == 1 else 1)
+            place = step + ((corner // weight) % 2) - 1
+            if place < 0:
+                place += 4
+                block_row += weight
+            cell += size * place
+        above = corner // (4 if axis == 0 else (2 if axis == 1 else 1)) % 2
+        phi = fields.phi[64 * lattice.low[block_row] + cell]
+        total += -0.25 * phi if above else 0.25 * phi
+    return total
+
+
+@always_inline
+def _separating_side(b, q, axis, lattice, walls):
+    """Return 1 or -1 at a node on a separating wall across an axis, the way into the domain."""
+    step = q // 16 if axis == 0 else (q // 4 % 4 if axis == 1 else q % 4)
+    node = 4 * lattice.block[b, axis] - 1 + step
+    if node == 0 and walls.kinds[axis, 0] == RELEASING:
+        return 1
+    if node == walls.cells[axis] and walls.kinds[axis, 1] == RELEASING:
+        return -1
+    return 0
+
+
+@always_inline
+def _kick_across(b, q, axis, lattice, fields):
+    """Return the change of velocity [cells/s] along an axis that phi would make at a node."""
+    mass, share = fields.mass[64 * b + q], fields.share[64 * b + q]
+    images = 2.0  # on both sides of the wall
+    return images * share * _push_across(b, q, axis, lattice, fields) / mass if mass > 0 else 0.0
+
+
+@kernel
+def release_nodes(rows, lattice, walls, velocity, dx, fields, level):
+    """Let nodes on separating walls answer along the normal where phi leaves them going away.
+
+    Args:
+        rows: Blocks to process, shape (n,).
+        lattice: Blocks, Lattice.
+        walls: Walls of the domain.
+        velocity: Velocities [m/s], shape (blocks, 256).
+        dx: Cell size [m].
+        fields: PressureFields.
+        level: LevelFields (in/out).
+    """
+    real = level.u.dtype.type
+    for b in rows:
+        for q in range(64):
+            mass, share = fields.mass[64 * b + q], fields.share[64 * b + q]
+            if not mass > MIN_NODE_FILL:
+                continue
+            for a in range(3):
+                side = _separating_side(b, q, a, lattice, walls)
+                speed = float(velocity[b, 4 * q + a]) / dx
+                kick = _kick_across(b, q, a, lattice, fields)
+                if side != 0 and side * speed > 0.0 and side * (speed + kick) > 0.0:
+                    level.inverse[192 * b + 64 * a + q] = real(2.0) * share * share / mass
+                    level.u[192 * b + 64 * a + q] = share * real(speed)
+
+
+@kernel
+def hold_at_separating_walls(rows, lattice, walls, dx, fields, level, velocity):
+    """Stop what approaches separating walls, with friction by what the pressure presses.
+
+    Args:
+        rows: Blocks to process, shape (n,).
+        lattice: Blocks, Lattice.
+        walls: Walls of the domain.
+        dx: Cell size [m].
+        fields: PressureFields.
+        level: LevelFields.
+        velocity: Velocities [m/s], shape (blocks, 256) (in/out).
+    """
+    for b in rows:
+        for q in range(64):
+            for a in range(3):
+                side = _separating_side(b, q, a, lattice, walls)
+                if side == 0:
+                    continue
+                push = max(-side * float(velocity[b, 4 * q + a]), 0.0)
+                if level.inverse[192 * b + 64 * a + q] > 0:
+                    if push > 0.0:
+                        velocity[b, 4 * q + a] = 0
+                else:
+                    velocity[b, 4 * q + a] = 0
+                    kick = dx * _kick_across(b, q, a, lattice, fields)
+                    push = max(-side * kick, 0.0)
+                if push > 0.0:
+                    friction = walls.friction[a, 0] if side > 0 else walls.friction[a, 1]
+                    apply_coulomb_friction(velocity[b], 4 * q, friction * push)
 
 
 @kernel

@@ -27,6 +27,7 @@ from vgmpi.kernels.stencil_sums import gather_value
 from vgmpi.kernels.transfer.auxiliary_gather import (
     VelocityOnly,
     advection_velocity,
+    bounded_volume_rate,
     displacement,
     gather_batch,
     load_mirrored_patch,
@@ -42,6 +43,8 @@ from vgmpi.runtime.jit import always_inline
 from .pressure_system import MAX_PRESSURE
 
 PARTICLE_PRESSURE = "particle pressure"  # name of the field
+# [-] The volume of particles is not integrated: lone drops may change theirs five times as fast.
+VOLUME_RATE_SHARE = 0.2
 MAX_RELATIVE_PRESSURE = MAX_PRESSURE + 1.0  # [-] beyond what the system gives to particles
 
 
@@ -128,3 +131,8 @@ def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
 @wave_speed_squared.register(ImplicitPressureGather)
 def _(kind, f, p, cap, wave2):
     return 0.0 * wave2
+
+
+@bounded_volume_rate.register(ImplicitPressureGather)
+def _(kind, trace):
+    return VOLUME_RATE_SHARE * trace

@@ -17,6 +17,7 @@ class InletsOutlets(SceneFeature):
     """Inlets and outlets in the tables of a scene; walls that particles leave through, too."""
 
     name, title = "inlets_outlets", "inlets and outlets"
+    suits_implicit_pressure = True
     lists = {
         "inlet": TableList({"": Inlet}, {"disc": Disc, "rectangle": Rectangle}),
         "outlet": TableList({"": Outlet}),

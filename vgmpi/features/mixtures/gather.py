@@ -15,6 +15,7 @@ from vgmpi.kernels.stencil_sums import gather_affine, gather_value
 from vgmpi.kernels.transfer.auxiliary_gather import (
     VelocityOnly,
     advection_velocity,
+    bounded_volume_rate,
     displacement,
     gather_batch,
     load_mirrored_patch,
@@ -110,6 +111,9 @@ def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
     elif porosity >= 0:
         store(f, p + porosity * cap, broadcast(f, 1.0))
     return (c0 + added, c1, c2, c3, c4 + added, c5, c6, c7, c8 + added)
+
+
+bounded_volume_rate.register(MixtureGather)(bounded_volume_rate.table[VelocityOnly])
 
 
 @wave_speed_squared.register(MixtureGather)

@@ -32,7 +32,7 @@ from vgmpi.kernels.colliders.surface_flow import (
 )
 from vgmpi.kernels.reproducible_sums import next_power_of_two
 from vgmpi.kernels.step_records import StepSpan
-from vgmpi.kernels.wall_boundary import SEPARATE, SLIP, STICK
+from vgmpi.kernels.wall_boundary import RELEASING, SEPARATE, SLIP, STICK
 from vgmpi.parallel.block_ownership import BlockDirectory
 from vgmpi.parallel.exchange_topology import NEAR_BODIES, ExchangeTopology, counting_owner
 from vgmpi.runtime.jit import always_inline, array_function, device_function, kernel
@@ -363,7 +363,7 @@ def _distance_without_flush_face(colliders, m, ijk, walls, n, d, dx):
         for side in range(2):
             kind, outward = walls.kinds[a, side], 2.0 * side - 1.0
             height = outward * (side * walls.cells[a] - ijk[a])
-            if not (kind == SLIP or kind == SEPARATE) or height < 0.0 or height > 1.0:
+            if kind not in (SLIP, SEPARATE, RELEASING) or height < 0.0 or height > 1.0:
                 continue
             faces_wall = outward * n[a]
             if not faces_wall > 0.0:

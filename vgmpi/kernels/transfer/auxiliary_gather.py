@@ -127,6 +127,15 @@ def wave_speed_squared(kind, f, p, cap, wave2):
     """
 
 
+@static_dispatch
+def bounded_volume_rate(kind, trace):
+    """Return the rate at which the volumes of 16 particles change, as it bounds the step [1/s].
+
+    Args:
+        trace: Trace of the velocity gradient [1/s].
+    """
+
+
 @device_function
 def load_mirrored_patch(grid, blocks, box, mirror, patch, ghosts, s):
     """Load one patch and set its ghost nodes from their mirror nodes.
@@ -207,6 +216,11 @@ def _(kind, f, p, cap, wave2):
     return wave2
 
 
+@bounded_volume_rate.register(VelocityOnly)
+def _(kind, trace):
+    return trace
+
+
 # ---- two kinds ----------------------------------------------------------------------------------
 
 
@@ -255,3 +269,8 @@ def _(kind, f, p, cap, wave2):
     return wave_speed_squared(
         kind.second, f, p, cap, wave_speed_squared(kind.first, f, p, cap, wave2)
     )
+
+
+@bounded_volume_rate.register(Both)
+def _(kind, trace):
+    return bounded_volume_rate(kind.second, bounded_volume_rate(kind.first, trace))

@@ -58,6 +58,7 @@ from vgmpi.runtime.jit import borrowing_kernel, device_function, kernel
 
 from .auxiliary_gather import (
     advection_velocity,
+    bounded_volume_rate,
     displacement,
     gather_batch,
     load_patches,
@@ -189,7 +190,7 @@ def _update_particles(
         particle_velocity(auxiliary, f, p, cap, extra, n, (v0, v1, v2))
         _store_gradient(f, p, cap, L)
         v0, v1, v2 = advection_velocity(auxiliary, split, extra, n, (v0, v1, v2))
-        trace, turns = L[0] + L[4] + L[8], squared_norm(L)
+        volume_rate, turns = bounded_volume_rate(auxiliary, L[0] + L[4] + L[8]), squared_norm(L)
         L = velocity_gradient(auxiliary, split, f, p, cap, extra, n, L, fill, slope, numbers)
         if is_liquid(law) and numbers.space > 0.0:
             L = reduce_spray_divergence(L, numbers.space * fill)
@@ -215,7 +216,7 @@ def _update_particles(
         turning = max_ignore_nan(masked(succeeded, max_ignore_nan(turns, squared_norm(L))), turning)
         fastest = max_ignore_nan(masked(succeeded, np.sqrt(wave2) + speed), fastest)
         quick = max_ignore_nan(masked(succeeded, speed), quick)
-        stretching = max_ignore_nan(masked(succeeded, abs(trace)), stretching)
+        stretching = max_ignore_nan(masked(succeeded, abs(volume_rate)), stretching)
         distance = max_ignore_nan(max_ignore_nan(abs(x), max_ignore_nan(abs(y), abs(z))), distance)
         inside = _inside(f, x, y, z, limit, remaining)
         full = ALL_LANES if remaining >= 16 else (1 << remaining) - 1

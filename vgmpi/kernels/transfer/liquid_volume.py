@@ -34,6 +34,7 @@ from vgmpi.runtime.jit import device_function
 from .auxiliary_gather import (
     VelocityOnly,
     advection_velocity,
+    bounded_volume_rate,
     displacement,
     gather_batch,
     load_patches,
@@ -139,6 +140,11 @@ def _(kind, f, p, cap, wave2):
     return wave_speed_squared(kind.inner, f, p, cap, wave2)
 
 
+@bounded_volume_rate.register(DensityCorrected)
+def _(kind, trace):
+    return bounded_volume_rate(kind.inner, trace)
+
+
 class CellDilatation(NamedTuple):
     """Kind of liquids whose dilatation is that of cells; otherwise as `VelocityOnly`."""
 
@@ -147,7 +153,7 @@ class CellDilatation(NamedTuple):
 
 for _dispatch in (
     load_patches, particle_velocity, max_velocity, advection_velocity, displacement,
-    wave_speed_squared,
+    wave_speed_squared, bounded_volume_rate,
 ):  # fmt: skip
     _dispatch.register(CellDilatation)(_dispatch.table[VelocityOnly])
 

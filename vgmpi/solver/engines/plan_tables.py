@@ -8,7 +8,7 @@ from vgmpi.kernels.grid.divided_nodes import Phases
 from vgmpi.kernels.grid.update import RigidBoundaries
 from vgmpi.kernels.kernel_arguments import Walls
 from vgmpi.kernels.rigid.prescribed_motion import NO_PRESCRIBED_BODIES, PhaseMotions
-from vgmpi.kernels.wall_boundary import KINDS, SEPARATE, YIELDING
+from vgmpi.kernels.wall_boundary import KINDS, RELEASING, SEPARATE, YIELDING
 from vgmpi.parallel.exchange_topology import StressProximity, TopologyRequirements
 from vgmpi.planning.phases_and_groups import PhasePlan
 from vgmpi.planning.plan import Plan
@@ -59,6 +59,8 @@ def wall_table(plan: Plan) -> Walls:
         for walls in (plan.walls.liquids, plan.walls.solids)
     )
     friction = np.array([mu for _, mu in plan.walls.liquids]).reshape(3, 2)
+    if any(group.volume.separate_pressure for group in plan.groups):
+        kinds[kinds == SEPARATE] = RELEASING
     if not plan.separates_stress:
         for_solids[for_solids == SEPARATE] = YIELDING
     for_surfaces = for_solids.copy()

@@ -13,7 +13,7 @@ from vgmpi.kernels.simd.row_ops import (
     shift_from_south,
 )
 from vgmpi.kernels.simd.vector16 import load
-from vgmpi.kernels.wall_boundary import SLIP, STICK
+from vgmpi.kernels.wall_boundary import RELEASING, SLIP, STICK
 from vgmpi.runtime.jit import always_inline
 
 
@@ -137,6 +137,6 @@ def is_held(b, q, axis, lattice, walls):
         node = 4 * lattice.block[b, a] - 1 + step
         if node <= 0 or node >= walls.cells[a]:
             kind = walls.kinds[a, 0] if node <= 0 else walls.kinds[a, 1]
-            if kind == STICK or (kind == SLIP and a == axis):
+            if kind == STICK or (kind in (SLIP, RELEASING) and a == axis):
                 return True
     return False

@@ -111,13 +111,14 @@ def sum_responses(rows, children, finer, counted, sums):
 
 
 @kernel
-def set_responses(rows, block, size, sums, level):
+def set_responses(rows, block, size, closed, sums, level):
     """Set the responses of coarse nodes, and mark the cells with pressure by a scale of 1.
 
     Args:
         rows: Coarse blocks, shape (n,).
         block: Coordinates of the blocks, shape (m, 3).
         size: Cells of the level along each axis, shape (3,).
+        closed: Whether walls hold their nodes across, shape (3, 2).
         sums: See `sum_responses`.
         level: LevelFields of the coarse levels (out).
     """
@@ -129,7 +130,8 @@ def set_responses(rows, block, size, sums, level):
             level.correction[64 * b + q] = level.remainder[64 * b + q] = real(0)
             total = max(sums[b, NODES, q], 1.0) * RESPONSE_QUANTA
             for a in range(3):
-                is_held = node[a] <= 0 or node[a] >= size[a]  # on a wall or beyond it
+                is_low, is_high = node[a] <= 0, node[a] >= size[a]  # on a wall or beyond it
+                is_held = (is_low and closed[a, 0]) or (is_high and closed[a, 1])
                 mean = 0.0 if is_held else COARSE_RESPONSE * sums[b, AXES + a, q] / total
                 level.inverse[192 * b + 64 * a + q] = real(mean)
 
