@@ -56,6 +56,7 @@ sampling_rate = 100
 """
 BODIES = "bodies of particles that are held or moved, and colliders with friction"
 WALLS = "walls that open"
+SEVERAL = "several phases, densities or equations of state"
 
 
 def refusal(tmp_path, text):
@@ -69,7 +70,13 @@ def refusal(tmp_path, text):
     [
         ("object.post.friction", BODIES, SCENE + POST + "friction = 0.3\n"),
         ("material.sand.kind", "materials that are no fluid", SCENE + SAND),
-        ("accuracy.pressure", "several phases or densities", SCENE + OIL),
+        ("accuracy.pressure", SEVERAL, SCENE + OIL),
+        ("accuracy.pressure", SEVERAL, SCENE + OIL.replace("density = 900", "max_speed = 5")),
+        (
+            "material.water.tension",
+            "liquids without tension",
+            SCENE.replace('kind = "fluid"', 'kind = "fluid"\ntension = "off"', 1),
+        ),
         ("probe.push.wall", "probes of forces on a wall or collider", SCENE + PROBE),
         (
             "domain.boundary",

@@ -131,10 +131,17 @@ def obstacles(
         wrong.append((path, f"accuracy.pressure = 'implicit' is not for {feature}"))
 
     for name in dict.fromkeys(group.material for group in groups):
-        if scene.material[name].kind != "fluid":  # type: ignore[attr-defined]
+        material: Any = scene.material[name]
+        if material.kind != "fluid":
             _refuse(("material", name, "kind"), "materials that are no fluid")
-    if len(phases) > 1 or len({group.density for group in groups}) > 1:
-        _refuse(("accuracy", "pressure"), "several phases or densities")
+        elif material.tension == "off":
+            _refuse(("material", name, "tension"), "liquids without tension")
+    stiffnesses = {
+        (group.density, getattr(group.law, "k", 0.0), getattr(group.law, "gamma", 0.0))
+        for group in groups
+    }
+    if len(phases) > 1 or len(stiffnesses) > 1:
+        _refuse(("accuracy", "pressure"), "several phases, densities or equations of state")
     for k, obj in enumerate(scene.object):
         values = {
             "motion": obj.motion and not obj.collider,

@@ -45,6 +45,7 @@ from .pressure_system import MAX_PRESSURE
 PARTICLE_PRESSURE = "particle pressure"  # name of the field
 # [-] The volume of particles is not integrated: lone drops may change theirs five times as fast.
 VOLUME_RATE_SHARE = 0.2
+MAX_THETA = 1.5  # [-] of particles: small Tait exponents would make volumes that end a run
 MAX_RELATIVE_PRESSURE = MAX_PRESSURE + 1.0  # [-] beyond what the system gives to particles
 
 
@@ -123,7 +124,9 @@ def _(kind, extra, n, moves):
 @velocity_gradient.register(ImplicitPressureGather)
 def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
     """Set the volume ratio by the pressure, and return no gradient, which would change it."""
-    store(f, p + STATE * cap, np.log1p(load(extra, 3 * BATCH + n)) * (-1.0 / kind.exponent))
+    theta = np.log1p(load(extra, 3 * BATCH + n)) * (-1.0 / kind.exponent)
+    limit = 0.0 * theta + MAX_THETA
+    store(f, p + STATE * cap, np.minimum(np.maximum(theta, -limit), limit))
     none = 0.0 * L[0]
     return (none, none, none, none, none, none, none, none, none)
 
