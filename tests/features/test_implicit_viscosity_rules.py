@@ -6,6 +6,7 @@ import pytest
 
 import vgmpi
 from tests.features.test_implicit_pressure_rules import POST, PROBE, SAND, refusal
+from vgmpi.commands import cli
 
 SCENE = """
 [accuracy]
@@ -115,3 +116,24 @@ def test_viscosity_does_not_bound_the_step(tmp_path):
     both = with_lines("[accuracy]", 'pressure = "implicit"')
     plan = vgmpi.plan(vgmpi.load(tmp_path / "scene.toml", text=both))
     assert 1 / plan.time_step.min_rate == pytest.approx(0.4 * 0.02 / math.sqrt(2 * 9.8 * 0.02))
+
+
+@pytest.mark.parametrize(
+    "old, new, is_named",
+    [
+        ("viscosity = 200", "viscosity = 200\ntait_coefficient = 200", True),
+        ("viscosity = 200", "viscosity = 0.2\ntait_coefficient = 200", False),
+        ('viscosity = "implicit"', 'viscosity = "implicit"\nprecision = "double"', False),
+        ("end = 0.1", "end = 0.1\ndt = 1e-5", False),
+    ],
+    ids=["syrup", "thin", "chosen", "fixed step"],
+)
+def test_a_plan_names_it_where_it_suits(tmp_path, capsys, old, new, is_named):
+    text = SCENE.replace(old, new)
+    if "precision" not in new:
+        text = text.replace('viscosity = "implicit"\n', "")
+    path = tmp_path / "scene.toml"
+    path.write_text(text)
+    assert cli.main([str(path), "--plan"]) == 0
+    line = 'accuracy.viscosity = "implicit" suits this scene: 24 times fewer steps'
+    assert (line in capsys.readouterr().out) == is_named

@@ -92,7 +92,7 @@ def test_sweeps_converge_to_the_dense_solution(tmp_path, monkeypatch):
     def stirred(x):
         return np.random.default_rng(1).normal(0, 0.1, x.shape)
 
-    monkeypatch.setattr(coupling, "SWEEPS", 20.0)
+    monkeypatch.setattr(coupling, "MAX_ERROR", 1e-16)
     simulation, _ = begin(tmp_path, SCENE, velocity=stirred)
     grids, couple = [], coupling.ImplicitViscosity.couple_nodes
 
@@ -123,12 +123,15 @@ def test_the_bound_of_the_eigenvalues():
 
 
 def test_sweeps_leave_less_than_a_hundredth():
-    """The polynomial of the sweeps in the range of eigenvalues."""
-    for diffusion in (0.01, 0.5, 1.0, 30.0):
+    """The polynomial of the sweeps in the range of eigenvalues, for a flow across 16 cells.
+
+    It decays by nu dt / dx2 (pi / 16)^2 in a step, and is that much smaller than the change.
+    """
+    for diffusion in (0.01, 0.5, 1.0, 30.0, 3000.0):
         highest = 1 + coupling.MAX_EIGENVALUE / coupling.FULL * diffusion
         x = np.linspace(1, highest, 1000)
         error, step = np.ones_like(x), np.zeros_like(x)
         for weight, inertia in coupling.sweep_factors(diffusion):
             step = -weight * x * error + inertia * step
             error = error + step
-        assert np.abs(error).max() < 0.01
+        assert np.abs(error).max() < 0.01 / (1 + diffusion * (np.pi / 16) ** 2)

@@ -2,9 +2,8 @@
 
 The numbers from outside are those of the explicit viscosity's tests: Taylor and Green's vortices,
 Poiseuille's flow from rest, Couette's flow between plates that lie anywhere among the nodes.
-Tolerances: 2 % of the rate of decay; 1 % of the steady flow, 2 % with an implicit pressure, and 3 %
-of the flow that starts; 1 % of the shear rate. The nodal system itself is compared with a dense
-one.
+Tolerances: 2 % of the rate of decay; 1 % of the steady flow, 3 % of the one that starts; 1 % of the
+shear rate.
 """
 
 import numpy as np
@@ -55,19 +54,24 @@ def test_vortices_decay(tmp_path, keys, diffusion):
 
 
 @pytest.mark.parametrize(
-    "keys, tolerance", [(VISCOUS, 0.01), (BOTH, 0.02)], ids=["explicit", "implicit"]
+    "keys, length",
+    [(VISCOUS, 128), pytest.param(BOTH, 256, marks=pytest.mark.slow)],
+    ids=["explicit", "implicit"],
 )
-def test_flow_between_stick_walls(tmp_path, keys, tolerance):
-    """A column between stick walls, with nu dt = dx2."""
+def test_flow_between_stick_walls(tmp_path, keys, length):
+    """A column of some cells between stick walls, with nu dt = dx2.
+
+    With an implicit pressure its ends act farther: with 128 cells the middle runs 1.3 % too fast.
+    """
     gravity, dt = 0.002, DX**2 * RHO / MU
     scene = test_poiseuille.SCENE.replace("[accuracy]\n", f"[accuracy]\n{keys}")
-    sizes = {"wide": 2 * H, "deep": 4 * DX, "dx": DX, "high": 136 * DX, "low": 4 * DX}
+    sizes = {"wide": 2 * H, "deep": 4 * DX, "dx": DX, "high": (length + 8) * DX, "low": 4 * DX}
     text = scene.format(
-        keys=f'kind = "fluid"\nviscosity = {MU}', gravity=-gravity, top=132 * DX, **sizes
+        keys=f'kind = "fluid"\nviscosity = {MU}', gravity=-gravity, top=(length + 4) * DX, **sizes
     ).replace("tait_coefficient = 200", "tait_coefficient = 12")
     simulation, _ = begin(tmp_path, text)
     top, before = RHO * gravity * H**2 / (2 * MU), 0
-    for time, allowed in ((0.5, 0.03), (2.5, tolerance)):
+    for time, allowed in ((0.5, 0.03), (2.5, 0.01)):
         number = round(time * CELLS**2 / 4)
         take_steps(simulation, dt, number - before)
         before = number
@@ -128,7 +132,7 @@ def test_momentum_of_a_stirred_drop_is_exact(tmp_path, keys, monkeypatch):
     """Linear and angular momentum, with any number of sweeps."""
     from vgmpi.features.implicit_viscosity import coupling
 
-    monkeypatch.setattr(coupling, "SWEEPS", 0.5)
+    monkeypatch.setattr(coupling, "MAX_ERROR", 0.9)
 
     def stirred(x):
         return np.array([0.3, -0.1, 0.2]) + np.random.default_rng(1).normal(0, 0.1, x.shape)
@@ -140,3 +144,6 @@ def test_momentum_of_a_stirred_drop_is_exact(tmp_path, keys, monkeypatch):
     assert after["kinetic"] < 0.95 * before["kinetic"]
     scale = np.abs(before["momentum"]).max()
     assert np.abs(after["momentum"] - before["momentum"]).max() < 1e-10 * scale
+    if keys == VISCOUS:  # the pressure's correction of positions turns what it moves
+        scale = np.abs(before["angular"]).max()
+        assert np.abs(after["angular"] - before["angular"]).max() < 1e-10 * scale

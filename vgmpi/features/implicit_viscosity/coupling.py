@@ -26,7 +26,9 @@ from .kernels.viscous_sweeps import MAX_EIGENVALUE, cells_of_patch, viscous_fiel
 from .plan import ViscousLiquid
 
 FULL = 0.5  # [-] fill from which on a node counts as full: particles that move leave nodes uneven
-SWEEPS = 3.0  # per root of the largest eigenvalue: 0.5 % of the change are left
+# What the sweeps leave: of the change of the velocities, and of a flow across some cells, which is
+# far smaller than the change where viscosity has long stopped what forces add in a step.
+MAX_ERROR, FLOW_CELLS = 0.005, 16.0
 
 
 def sweep_factors(diffusion: float) -> list[tuple[float, float]]:
@@ -40,8 +42,10 @@ def sweep_factors(diffusion: float) -> list[tuple[float, float]]:
     """
     highest = 1.0 + MAX_EIGENVALUE / FULL * diffusion
     middle, ratio = 0.5 * (highest + 1.0), (highest - 1.0) / (highest + 1.0)
+    error = MAX_ERROR / (1.0 + diffusion * (math.pi / FLOW_CELLS) ** 2)
+    number = math.ceil(0.5 * math.sqrt(highest) * math.log(2.0 / error))
     omega, factors = 1.0, [(1.0 / middle, 0.0)]
-    for _ in range(math.ceil(SWEEPS * math.sqrt(highest)) - 1):
+    for _ in range(number - 1):
         omega = 1.0 / (1.0 - (0.25 * omega if len(factors) > 1 else 0.5) * ratio**2)
         factors.append((omega / middle, omega - 1.0))
     return factors

@@ -9,7 +9,7 @@ from vgmpi.planning.plan import Plan, time_step_bounds
 from vgmpi.planning.step_costs import StageCost, StepCosts
 from vgmpi.scene.scene import Scene
 
-COST = StageCost(grid=1.5)  # per particle, relative to the step of a fluid's
+COST = StageCost(grid=0.8)  # per particle, relative to the step of a fluid's
 MIN_GAIN = 3.0  # ratio of steps for the advice
 
 
