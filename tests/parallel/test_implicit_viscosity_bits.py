@@ -65,7 +65,6 @@ ONE_LIQUID = (
     TWO_LIQUIDS.replace('viscosity = "implicit"', 'viscosity = "implicit"\npressure = "implicit"')
     .replace('material = "oil"\nphase = "oil"', 'material = "honey"\nphase = "honey"')
     .replace("slip_length = 0\n", "")
-    .replace(', north = "separate", top = "open"', "")
 )
 
 

@@ -101,8 +101,7 @@ def _bodies(scene: Any) -> Iterator[tuple[tuple, str]]:
 def _tables(scene: Any) -> Iterator[tuple[tuple, str]]:
     """Yield (path of a key, noun phrase) of tables of features, probes, walls and output."""
     for feature in features():
-        brings_particles = any(tables.holds_particles for tables in feature.lists.values())
-        for name in () if feature.suits_implicit_pressure or brings_particles else feature.lists:
+        for name in () if feature.suits_implicit_pressure else feature.lists:
             if scene.lists[name]:
                 yield (name, 0), feature.title
     for k, probe in enumerate(scene.probe):

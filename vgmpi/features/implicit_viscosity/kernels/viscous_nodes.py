@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vgmpi.kernels.colliders.surface_flow import FULL_WEIGHT_CELLS, touches_surface
-from vgmpi.kernels.wall_boundary import SEPARATE, SLIP, STICK
+from vgmpi.kernels.wall_boundary import RELEASING, SEPARATE, SLIP, STICK
 from vgmpi.runtime.jit import always_inline, device_function, kernel
 
 MIN_NODE_FILL = 1e-9  # [-] lighter nodes are no part of the system
@@ -78,7 +78,8 @@ def _images(block, q, walls):
         is_inside = is_inside and 0 <= node <= walls.cells[a]
         for side in range(2):
             kind = walls.kinds[a, side]
-            if node == side * walls.cells[a] and (kind == STICK or kind == SLIP):
+            mirrors = kind == STICK or kind == SLIP or kind == RELEASING
+            if node == side * walls.cells[a] and mirrors:
                 images *= 2
     return images, is_inside
 
@@ -100,9 +101,8 @@ def _is_held(block, q, axis, speed, walls):
             kind = walls.kinds[a, side]
             if node == side * walls.cells[a]:
                 leaves = speed > 0 if side == 0 else speed < 0
-                if kind == STICK or (
-                    a == axis and (kind == SLIP or (kind == SEPARATE and not leaves))
-                ):
+                stops = (kind == SEPARATE or kind == RELEASING) and not leaves
+                if kind == STICK or (a == axis and (kind == SLIP or stops)):
                     return True
     return False
 
