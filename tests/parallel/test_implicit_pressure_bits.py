@@ -11,6 +11,7 @@ from tests.support.file_digests import (
     run_on_one_rank,
 )
 from tests.support.simulate import advance, begin, by_id
+from tests.support.simulated_runs import run_here
 from vgmpi.features.implicit_pressure import pressure_solver
 from vgmpi.features.implicit_pressure.kernels import relaxation
 
@@ -134,6 +135,20 @@ def test_bodies_and_walls_on_any_ranks_and_threads(bodies, tmp_path, start, rank
 
 def test_bodies_and_walls_after_a_restart(bodies, tmp_path):
     assert_same_after_stop(*bodies, tmp_path / "out", 9)
+
+
+def test_ranks_without_nodes_on_a_separating_wall(tmp_path):
+    """A deep pool: the upper ranks do what the others do there, too."""
+    text = SCENE[: SCENE.index("[[object]]")].replace("PRECISION", "single")
+    text = text.replace("0.32]", "1.28]").replace('west = "stick"', 'bottom = "separate"')
+    text = text.replace("0.48", "0.16").replace("end = 0.2", "end = 0.02")
+    text += """
+[[object]]
+name = "pool"
+material = "water"
+shape = { box = [[0, 0, 0], [0.16, 0.16, 1.2]] }
+"""
+    assert_same_files(*run_on_one_rank(tmp_path, text), tmp_path / "out", run_here, 4)
 
 
 @pytest.fixture(scope="module", params=["single", pytest.param("double", marks=pytest.mark.slow)])

@@ -106,6 +106,19 @@ def test_a_block_floats(tmp_path, offset, limit):
     assert max(np.abs(np.array(heights) - 0.12)) < abs(offset) + 0.1 * DX
 
 
+def test_a_stone_lies_on_the_floor(tmp_path):
+    """The water around it comes to rest: the floor holds it while the pressure is found."""
+    stone = BODY + "shape = { box = [[0.08, 0.08, 0], [0.16, 0.16, 0.06]] }\n"
+    text = scene(stone, SIZE=0.24, HEIGHT=0.24, DENSITY=3000, WATER=[[0, 0, 0], [0.24, 0.24, 0.12]])
+    simulation, _ = begin(tmp_path, text)
+    speeds = []
+    while simulation.time < 0.3:
+        simulation.advance(simulation.bound())
+        speeds.append(np.sqrt((by_id(simulation, "v")[0] ** 2).sum(1).mean()))
+    # after the first steps, in which nothing is known of the contact; 0.017 if it never is
+    assert max(speeds[len(speeds) // 3 :]) < 0.005 * np.sqrt(G * 0.12)
+
+
 @pytest.mark.parametrize("viscosity", ["explicit", "implicit"])
 def test_momentum(tmp_path, viscosity):
     """Of a drop that hits a tilted block in empty space, to rounding."""

@@ -103,7 +103,7 @@ class PushedBodies(Protocol):
         """Return their centers of mass, shape (m, 3) [m]."""
 
     def predict_velocities(self, dt: float, gravity: np.ndarray) -> np.ndarray:
-        """Return the velocities after a step without flow, shape (m, 6) [m/s], [rad/s].
+        """Return the velocities after a step without what pushes them, shape (m, 6) [m/s], [rad/s].
 
         Args:
             dt: Length of the step [s].

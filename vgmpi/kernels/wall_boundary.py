@@ -7,7 +7,8 @@ order). Since every particle that touches a ghost node touches its mirror node t
 inside a patch. An open wall does nothing: particles that reach it are removed
 (features/inlets_outlets/coupling.py).
 
-A separate wall only pushes. On liquids it is a clamp with Coulomb friction. On everything else it
+A separate wall only pushes. On liquids it is a clamp with Coulomb friction, or a mirror where the
+grid finds their pressure (features/implicit_pressure). On everything else it
 is a mirror for what presses on it and a clamp for what pulls: the patch of a segment folds back the
 momentum on a ghost node, with the stress impulse, if it leads into the wall. Without that, the
 pressure on the wall would push the nodes inside toward it, and the body would sink until half a

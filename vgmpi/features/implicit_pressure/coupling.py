@@ -38,6 +38,9 @@ class ImplicitPressure(ActiveFeature):
         self.stiffness = float(group.law.k) / (group.density * plan.dx**2)  # type: ignore[attr-defined]
         self.solver, self.colliders = solver, context.collider_nodes
         self.features = context.features
+        kinds = np.array([kind for kind, _ in plan.walls.liquids]).reshape(3, 2)
+        self.separating_walls = kinds == "separate"
+        self.has_separating_walls = bool(self.separating_walls.any())
         self.response: BodyResponse | None = None
 
     def set_topology(self, tables: ExchangeTopology, census: BlockDirectory) -> None:
@@ -68,10 +71,9 @@ class ImplicitPressure(ActiveFeature):
         _, closed = self.solver.domain
         is_beyond = ((index < 0) & closed[:, 0]) | ((index >= self.plan.cells) & closed[:, 1])
         self.outside = is_beyond.any(2).astype(real).reshape(-1)
-        kinds = np.array([kind for kind, _ in self.plan.walls.liquids]).reshape(3, 2)
-        separates, last = kinds == "separate", np.array(self.plan.cells)
+        separates, last = self.separating_walls, np.array(self.plan.cells)
         on_wall = ((index == 0) & separates[:, 0]) | ((index == last) & separates[:, 1])
-        self.separating = np.flatnonzero(on_wall.any((1, 2)))
+        self.separating = np.flatnonzero(on_wall.any((1, 2)))  # blocks of this rank
 
     def couple_nodes(self, nodes: NodeState, span: StepSpan, gravity: np.ndarray) -> None:
         """Change the velocities of the nodes in a step, and find the displacements.
@@ -96,12 +98,11 @@ class ImplicitPressure(ActiveFeature):
         guess_scale = real(dt * self.stiffness)
         solver.each(blocks, pressure_system.set_cells, lattice, guess_scale, fields, level)
         exchange.exchange(fields.filled)
-        if len(self.separating):
+        if self.has_separating_walls:
             exchange.exchange(fields.phi)
-            rows = self.separating
             nodes.call(
-                pressure_system.release_nodes, rows, lattice, walls, velocity, plan.dx, fields,
-                level,
+                pressure_system.release_nodes, self.separating, lattice, walls, velocity,
+                self.mass_of_cell, plan.dx, fields, level,
             )  # fmt: skip
             solver.each(blocks, pressure_system.set_cells, lattice, guess_scale, fields, level)
             exchange.exchange(fields.filled)
@@ -118,8 +119,8 @@ class ImplicitPressure(ActiveFeature):
             solver.bodies = None  # they stand while positions are corrected
         solver.each(wet, pressure_system.add_velocities, plan.dx, fields, level, velocity)
         nodes.call(
-            pressure_system.hold_at_separating_walls, self.separating, lattice, walls, plan.dx,
-            fields, level, velocity,
+            pressure_system.hold_at_separating_walls, self.separating, lattice, walls,
+            self.mass_of_cell, plan.dx, fields, level, velocity,
         )  # fmt: skip
         scale = real(1.0 / (dt * self.stiffness))
         solver.each(wet, pressure_system.store_node_pressure, lattice, scale, fields)
@@ -135,6 +136,7 @@ class ImplicitPressure(ActiveFeature):
         moves = nodes.gathered[DISPLACEMENT]
         moves[:] = 0
         solver.each(wet, pressure_system.store_moves, fields, level, moves)
+        nodes.call(pressure_system.stop_moves, self.separating, lattice, walls, moves)
 
     def _pushed_bodies(self) -> PushedBodies | None:
         """Return the free bodies of the run, or None without any."""

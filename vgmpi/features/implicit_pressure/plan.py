@@ -13,6 +13,7 @@ from vgmpi.planning.step_costs import StageCost, StepCosts
 from vgmpi.scene.scene import Scene
 from vgmpi.scene.scene_feature import features
 
+MAX_FREE_BODIES = 64  # the work of a step grows with the cube of their number
 HELD_BODIES = "bodies of particles that are held or moved, and colliders with friction"
 COST = StageCost(0.1, 1.2, 0.2)  # per particle, relative to the step of a fluid's
 DISPLACEMENT = "displacement"  # nodal displacement [cells] and relative pressure, for particles
@@ -80,7 +81,7 @@ def plan_implicit_pressure(draft: PlanDraft) -> tuple[ImplicitPressurePlan, Plan
         Its plan, and the draft with groups whose pressure is not that of their volume.
 
     Raises:
-        SceneError: The scene has more than one liquid and walls.
+        SceneError: The scene has what an implicit pressure does not know.
     """
     if wrong := obstacles(draft.scene, draft.groups, draft.phases):
         raise draft.scene.error(wrong)
@@ -151,6 +152,9 @@ def obstacles(
         for key, value in values.items():
             if value:
                 _refuse(("object", k, key), HELD_BODIES)
+    rigid = [k for k, obj in enumerate(scene.object) if obj.rigid]
+    if len(rigid) > MAX_FREE_BODIES:
+        _refuse(("object", rigid[-1], "rigid"), f"more than {MAX_FREE_BODIES} free rigid bodies")
     for feature in features():
         for name in () if feature.suits_implicit_pressure else feature.lists:
             if scene.lists[name]:

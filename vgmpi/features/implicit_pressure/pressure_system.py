@@ -351,22 +351,25 @@ def _separating_side(b, q, axis, lattice, walls):
 
 
 @always_inline
-def _kick_across(b, q, axis, lattice, fields):
+def _kick_across(b, q, axis, lattice, mass, fields):
     """Return the change of velocity [cells/s] along an axis that phi would make at a node."""
-    mass, share = fields.mass[64 * b + q], fields.share[64 * b + q]
-    images = 2.0  # on both sides of the wall
-    return images * share * _push_across(b, q, axis, lattice, fields) / mass if mass > 0 else 0.0
+    if not mass > MIN_NODE_FILL:
+        return 0.0
+    return fields.share[64 * b + q] * _push_across(b, q, axis, lattice, fields) / mass
 
 
 @kernel
-def release_nodes(rows, lattice, walls, velocity, dx, fields, level):
+def release_nodes(rows, lattice, walls, velocity, unit, dx, fields, level):
     """Let nodes on separating walls answer along the normal where phi leaves them going away.
+
+    Those next to colliders stay held.
 
     Args:
         rows: Blocks to process, shape (n,).
         lattice: Blocks, Lattice.
         walls: Walls of the domain.
-        velocity: Velocities [m/s], shape (blocks, 256).
+        velocity: Velocities [m/s] and masses [kg], shape (blocks, 256).
+        unit: Mass of a full cell [kg].
         dx: Cell size [m].
         fields: PressureFields.
         level: LevelFields (in/out).
@@ -374,30 +377,33 @@ def release_nodes(rows, lattice, walls, velocity, dx, fields, level):
     real = level.u.dtype.type
     for b in rows:
         for q in range(64):
-            mass, share = fields.mass[64 * b + q], fields.share[64 * b + q]
-            if not mass > MIN_NODE_FILL:
+            mass = velocity[b, 4 * q + 3] / unit
+            if not mass > MIN_NODE_FILL or fields.free_part[64 * b + q] < 1:
                 continue
             for a in range(3):
                 side = _separating_side(b, q, a, lattice, walls)
                 speed = float(velocity[b, 4 * q + a]) / dx
-                kick = _kick_across(b, q, a, lattice, fields)
-                if side != 0 and side * speed > 0.0 and side * (speed + kick) > 0.0:
-                    level.inverse[192 * b + 64 * a + q] = real(2.0) * share * share / mass
-                    level.u[192 * b + 64 * a + q] = share * real(speed)
+                if side == 0 or not side * speed > 0.0:
+                    continue
+                kick = _kick_across(b, q, a, lattice, mass, fields)
+                if side * (speed + kick) > 0.0:
+                    level.inverse[192 * b + 64 * a + q] = real(1.0 / mass)
+                    level.u[192 * b + 64 * a + q] = real(speed)
 
 
 @kernel
-def hold_at_separating_walls(rows, lattice, walls, dx, fields, level, velocity):
+def hold_at_separating_walls(rows, lattice, walls, unit, dx, fields, level, velocity):
     """Stop what approaches separating walls, with friction by what the pressure presses.
 
     Args:
         rows: Blocks to process, shape (n,).
         lattice: Blocks, Lattice.
         walls: Walls of the domain.
+        unit: Mass of a full cell [kg].
         dx: Cell size [m].
         fields: PressureFields.
         level: LevelFields.
-        velocity: Velocities [m/s], shape (blocks, 256) (in/out).
+        velocity: Velocities [m/s] and masses [kg], shape (blocks, 256) (velocities in/out).
     """
     for b in rows:
         for q in range(64):
@@ -411,7 +417,8 @@ def hold_at_separating_walls(rows, lattice, walls, dx, fields, level, velocity):
                         velocity[b, 4 * q + a] = 0
                 else:
                     velocity[b, 4 * q + a] = 0
-                    kick = dx * _kick_across(b, q, a, lattice, fields)
+                    mass = velocity[b, 4 * q + 3] / unit
+                    kick = dx * _kick_across(b, q, a, lattice, mass, fields)
                     push = max(-side * kick, 0.0)
                 if push > 0.0:
                     friction = walls.friction[a, 0] if side > 0 else walls.friction[a, 1]
@@ -530,3 +537,21 @@ def store_moves(rows, fields, level, moves):
                 move = per_share * level.u[192 * b + 64 * a + q]
                 moves[b, 4 * q + a] = min(max(move, -limit), limit)
             moves[b, 4 * q + 3] = fields.guess[64 * b + q]
+
+
+@kernel
+def stop_moves(rows, lattice, walls, moves):
+    """Stop displacements of nodes on separating walls that lead beyond these.
+
+    Args:
+        rows: Blocks to process, shape (n,).
+        lattice: Blocks, Lattice.
+        walls: Walls of the domain.
+        moves: See `store_moves` (in/out).
+    """
+    for b in rows:
+        for q in range(64):
+            for a in range(3):
+                side = _separating_side(b, q, a, lattice, walls)
+                if side * moves[b, 4 * q + a] < 0:
+                    moves[b, 4 * q + a] = 0

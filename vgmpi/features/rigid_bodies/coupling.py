@@ -131,7 +131,9 @@ class RigidBodies(ActiveFeature):
         self.joints = jointed_bodies(own.joints, movers)
         self.number_of = np.full(len(movers.colliders), -1)
         self.number_of[self.bodies.rows] = np.arange(count)
-        self.pushed_bodies = JointedPushedBodies(self.bodies, self.joints, self.number_of)
+        self.pushed_bodies: JointedPushedBodies = JointedPushedBodies(
+            self.bodies, self.joints, self.number_of
+        )
         rows = np.array(plan.contact.friction)[len(plan.phases) :]
         self.friction = rows[np.minimum(self.bodies.rows, len(rows) - 1)]
         self.adhesion = self._adhesion_law()
@@ -166,7 +168,9 @@ class RigidBodies(ActiveFeature):
         bodies.momentum += dt * bodies.mass[:, None] * gravity
         bodies.set_velocities()
         self._couple(nodes, dt)
+        before = bodies.v.copy()
         self._collide(nodes, dt)
+        self.pushed_bodies.note_contact(bodies.v - before, dt, gravity)
         bodies.move(dt)
 
     def set_topology(self, tables: ExchangeTopology, census: BlockDirectory) -> None:
@@ -194,7 +198,8 @@ class RigidBodies(ActiveFeature):
         rows = slice(self.touching)
         points = {name: getattr(self.points_before, name)[rows].tolist() for name in WARM_NAMES}
         joints = {} if self.joints is None else {"joints": self.joints.saved()}
-        return {"bodies": {"bodies": self.bodies.saved(), "points": points} | joints}
+        contact = {"contact": self.pushed_bodies.contact.tolist()}
+        return {"bodies": {"bodies": self.bodies.saved(), "points": points} | joints | contact}
 
     def restore(self, saved: Checkpoint) -> None:
         """Restore the bodies, their joints and the points in contact."""
@@ -202,6 +207,7 @@ class RigidBodies(ActiveFeature):
         self.bodies.restore(state["bodies"])
         if self.joints is not None:
             self.joints.restore(state["joints"])
+        self.pushed_bodies.contact[:] = np.array(state["contact"])
         self.touching = len(state["points"]["body"])
         self.points_before = body_contact.contact_points(self.touching)
         for name, values in state["points"].items():
@@ -328,7 +334,7 @@ def _clears_wall(n, ijk, walls):
                 return False
             if depth == 0.0 and kind == SLIP:
                 n[a] = 0.0
-            if depth >= 0.0 and kind == SEPARATE and outward * n[a] > 0.0:
+            if depth >= 0.0 and kind in (SEPARATE, RELEASING) and outward * n[a] > 0.0:
                 n[a] = 0.0
     return True
 

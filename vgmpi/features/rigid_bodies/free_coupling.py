@@ -208,7 +208,14 @@ def solve_symmetric(A, x):
         A: Matrix, shape (n, n); its lower half is overwritten.
         x: Right-hand side, then the solution, shape (n,).
     """
-    size = len(x)
+    factor_symmetric(A)
+    solve_factored(A, x)
+
+
+@device_function
+def factor_symmetric(A):
+    """Replace the lower half of a symmetric positive definite matrix (n, n) by its L and D."""
+    size = len(A)
     for c in range(size):
         for j in range(c):
             A[c, c] -= A[c, j] * A[c, j] * A[j, j]
@@ -216,6 +223,12 @@ def solve_symmetric(A, x):
             for j in range(c):
                 A[a, c] -= A[a, j] * A[c, j] * A[j, j]
             A[a, c] /= A[c, c]
+
+
+@device_function
+def solve_factored(A, x):
+    """Solve A y = x in place, A of `factor_symmetric`, shape (n, n)."""
+    size = len(x)
     for a in range(size):
         for j in range(a):
             x[a] -= A[a, j] * x[j]

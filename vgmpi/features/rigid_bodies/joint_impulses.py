@@ -17,7 +17,12 @@ from vgmpi.runtime.jit import array_function, device_function, kernel
 
 from .contact_sweeps import start_impulses, sweep_points
 from .free_bodies import inverse_times
-from .free_coupling import condensed_matrix, solve_symmetric
+from .free_coupling import (
+    condensed_matrix,
+    factor_symmetric,
+    solve_factored,
+    solve_symmetric,
+)
 from .joint_rows import rate_of
 
 REGULARIZATION = 1e-10  # [-] of the diagonal: rows of closed loops may repeat each other
@@ -255,29 +260,37 @@ def reduce_mobility(rows, groups, inverse, matrix):
         n = high - low
         moved, full = np.zeros((n, 2, 6)), np.zeros((n, n))
         _fill_matrix(rows, low, high, inverse, moved, full)
-        state, impulse, right = np.zeros(n, np.int64), np.zeros(n), np.zeros(n)
+        free = np.zeros(n, np.int64)
+        count = 0
         for i in range(n):
             q = low + i
             full[i, i] += rows.softness[q]
-            state[i] = not rows.low[q] < rows.impulse[q] < rows.high[q]
+            if rows.low[q] < rows.impulse[q] < rows.high[q]:
+                free[count] = i
+                count += 1
+        part, impulse = np.zeros((count, count)), np.zeros(count)
+        for a in range(count):
+            for c in range(count):
+                part[a, c] = full[free[a], free[c]]
+        factor_symmetric(part)
         for k in range(len(inverse)):
             for c in range(6):
                 touches = False
-                for i in range(n):
-                    right[i] = impulse[i] = 0.0
+                for a in range(count):
+                    impulse[a] = 0.0
                     for s in range(2):
-                        if rows.bodies[low + i, s] == k:
-                            right[i] -= moved[i, s, c]
+                        if rows.bodies[low + free[a], s] == k:
+                            impulse[a] -= moved[free[a], s, c]
                             touches = True
                 if not touches:
                     continue
-                _solve_free(full, right, state, impulse)
-                for i in range(n):
+                solve_factored(part, impulse)
+                for a in range(count):
                     for s in range(2):
-                        body = rows.bodies[low + i, s]
+                        body = rows.bodies[low + free[a], s]
                         if body >= 0:
-                            for a in range(6):
-                                matrix[6 * body + a, 6 * k + c] += moved[i, s, a] * impulse[i]
+                            for d in range(6):
+                                matrix[6 * body + d, 6 * k + c] += moved[free[a], s, d] * impulse[a]
 
 
 @kernel

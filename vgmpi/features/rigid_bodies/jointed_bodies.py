@@ -210,23 +210,39 @@ class JointedPushedBodies:
 
     Attributes:
         number_of: Number of the free body of each collider, -1 if it is not free, (colliders,).
+        contact: Accelerations by contact in the last step, shape (m, 6) [m/s2], [rad/s2].
     """
 
     def __init__(self, bodies: FreeBodies, joints: JointedBodies | None, number_of: np.ndarray):
         """Take the bodies, their joints, and the numbers of the bodies by collider."""
         self.bodies, self.joints, self.number_of = bodies, joints, number_of
+        self.contact = np.zeros_like(bodies.v)
 
     def centers(self) -> np.ndarray:
         """Return the centers of the bodies, see `PushedBodies`."""
         return self.bodies.x
 
+    def note_contact(self, change: np.ndarray, dt: float, gravity: np.ndarray) -> None:
+        """Note what contact has changed in a step, but for impacts, which do not last.
+
+        Args:
+            change: Change of the velocities, shape (m, 6) [m/s], [rad/s].
+            dt: Length of the step [s].
+            gravity: Acceleration, shape (3,) [m/s2].
+        """
+        weight, push = (np.sqrt((a**2).sum(-1)) for a in (dt * gravity, change[:, :3]))
+        share = np.minimum(1.0, weight / np.maximum(push, 1e-300))
+        self.contact[:] = share[:, None] * change / dt
+
     def predict_velocities(self, dt: float, gravity: np.ndarray) -> np.ndarray:
-        """Return the velocities of the bodies after a step without flow and contact.
+        """Return the velocities of the bodies after a step without flow.
+
+        What they lie on holds them as in the step before.
 
         Args:
             dt, gravity: See `PushedBodies`.
         """
-        v = self.bodies.v.copy()
+        v = self.bodies.v + dt * self.contact
         v[:, :3] += dt * gravity
         if self.joints is not None:
             self.joints.enforce(self.bodies.mass, self.bodies.turned_inertia(), v)
