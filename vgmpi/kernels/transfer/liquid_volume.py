@@ -176,7 +176,10 @@ def _replace_trace(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
 
 
 class CellPressure(NamedTuple):
-    """Contribution of the impulse of the mean stress, by the means of cells."""
+    """Contribution of the impulse of the mean stress, by the means of cells.
+
+    It is for `dilatation = "cells"`; else pressure is part of nodal_fields/momentum.py.
+    """
 
     mirror: float  # code of nodal_fields/field_protocol.py
     dx: float  # [m] cell size

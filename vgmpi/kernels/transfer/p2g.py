@@ -9,6 +9,8 @@ particle may stray one cell before the next sort. A patch is filled by one threa
 nothing else touches it. Positions are integers, 2^-bits of a cell, relative to the middle of the
 block: slow motion in single precision then loses nothing.
 
+What a particle brings is in kernels/nodal_fields: mass, momentum and stress in momentum.py.
+
 Both directions, this and g2p.py, go through records (kernels/particle_records.py). Batches of 128
 begin at the segment's start; the batch is part of the numerical definition, since a run of
 particles with one base node is summed before it is added to the patch.

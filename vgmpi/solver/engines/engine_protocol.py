@@ -7,8 +7,8 @@ A step calls, in this order:
 With features that couple the nodes, `begin_coupling` and `end_coupling`
 come before `gather`.
 
-A step of no time (dt = 0) only passes velocities through the grid, and ends with `restore` in the
-place of `gather`.
+A step of no time (dt = 0) only passes velocities through the grid, and ends with
+`correct_transfers` in the place of `gather`.
 
 An engine keeps the particles of a rank (`groups`), transfers them to the nodes (`fill`), hands the
 sums that other ranks need to the halo exchange and takes theirs (`pack`, `add`), computes the nodal
