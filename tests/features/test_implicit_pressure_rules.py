@@ -48,12 +48,6 @@ name = "slick"
 material = "oil"
 shape = { box = [[0, 0, 0.1], [0.4, 0.2, 0.14]] }
 """
-PROBE = """
-[[probe]]
-name = "push"
-wall = "bottom"
-sampling_rate = 100
-"""
 BODIES = "bodies of particles that are held or moved, and colliders with friction"
 WALLS = "walls that open"
 SEVERAL = "several phases, densities or equations of state"
@@ -77,7 +71,6 @@ def refusal(tmp_path, text):
             "liquids without tension",
             SCENE.replace('kind = "fluid"', 'kind = "fluid"\ntension = "off"', 1),
         ),
-        ("probe.push.wall", "probes of forces on a wall or collider", SCENE + PROBE),
         (
             "domain.boundary",
             WALLS,

@@ -56,6 +56,14 @@ name = "post"
 role = "scenery"
 collider = true
 shape = { cylinder = { endpoints = [[0.4, 0.1, -0.1], [0.4, 0.1, 0.5]], radius = 0.03 } }
+[[probe]]
+name = "push"
+collider = "paddle"
+sampling_rate = "100 Hz"
+[[probe]]
+name = "floor"
+wall = "bottom"
+sampling_rate = "100 Hz"
 """
 
 # bodies that float, sink and hang from joints, a jet, walls that let go and open ones, and drops

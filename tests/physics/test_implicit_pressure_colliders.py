@@ -6,6 +6,7 @@ The numbers from outside are those of hydrostatics and the volume of the water. 
 import numpy as np
 import pytest
 
+import vgmpi
 from tests.support import dense_multigrid
 from tests.support.dense_multigrid import dense_values
 from tests.support.simulate import advance, begin, by_id
@@ -120,3 +121,52 @@ def level_around(center, radius, area):
     z = np.linspace(0, 0.44, 44001)
     chord = 2 * np.sqrt(np.maximum(radius**2 - (z - center) ** 2, 0))
     return z[np.searchsorted(np.cumsum((0.64 - chord) * 1e-5), area)]
+
+
+PROBE = """
+[[probe]]
+name = "NAME"
+KEY = "NAME"
+sampling_rate = "200 Hz"
+"""
+
+
+def probes(**places):
+    """Probes of the forces on colliders and walls, by name."""
+    return "".join(PROBE.replace("NAME", name).replace("KEY", key) for name, key in places.items())
+
+
+def test_forces_of_a_pool_on_walls_and_a_disc(tmp_path):
+    """Its weight on the floor, its thrust on the sides, and Archimedes' lift."""
+    text = POOL.replace("end = 4", "end = 0.3") + DISC
+    text += probes(bottom="wall", west="wall", east="wall", collider="collider")
+    run = vgmpi.run(vgmpi.load(tmp_path / "scene.toml", text=text))
+    force = {
+        name: [np.mean([row[f"force_{a}"] for row in rows if row["time"] > 0.1]) for a in "xz"]
+        for name, rows in run.probes.items()
+    }
+    per_area = 1000 * G * WIDTH
+    assert force["bottom"][1] == pytest.approx(-per_area * 0.64 * 0.32, rel=2e-3)
+    assert force["west"][0] == pytest.approx(-per_area * 0.5 * 0.32**2, rel=3e-3)
+    assert force["east"][0] == pytest.approx(per_area * 0.5 * 0.32**2, rel=3e-3)
+    assert force["collider"][1] == pytest.approx(per_area * np.pi * 0.063**2, rel=3e-3)
+
+
+@pytest.mark.parametrize("bottom", ["slip", "stick", "separate"])
+def test_what_the_water_loses_walls_and_colliders_take(tmp_path, bottom):
+    """Momentum of a dam break around a disc: all reactions and gravity are what changes it."""
+    friction = ", friction = 0.3 }" if bottom == "separate" else " }"
+    wall = (
+        f'cell = 0.02\nboundary = {{ default = "slip", bottom = {{ kind = "{bottom}"{friction} }}'
+    )
+    text = (DAM + DISC).replace("cell = 0.02", wall) + probes(collider="collider")
+    text = text.replace('pressure = "implicit"', 'pressure = "implicit"\nprecision = "double"')
+    simulation, _ = begin(tmp_path, text)
+    advance(simulation, 0.35)
+    v, volume = by_id(simulation, "v", "vol0")
+    momentum = 1000 * (v * volume.reshape(-1, 1)).sum(0)
+    weight = 1000 * volume.sum() * np.array([0, 0, -G])
+    taken = simulation.features["reactions"].totals[:, :3].sum(0)
+    scale = np.abs(weight * simulation.time).max()
+    assert np.abs(momentum).max() > 0.05 * scale
+    np.testing.assert_allclose(momentum, weight * simulation.time + taken, atol=1e-6 * scale)

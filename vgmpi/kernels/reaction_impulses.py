@@ -242,6 +242,23 @@ def add_wall_reaction(reaction, a, side, plane, node, low, before, v):
             _add(reaction, reaction.first + 2 * a + side, reaction.node, jx, jy, jz, 0.0)
 
 
+@device_function
+def add_pressure_reaction(reaction, row, push, speed):
+    """Add an impulse on bodies by a collider or a wall, at the surface point of `set_collider`.
+
+    The caller sees to it that one rank alone counts it.
+
+    Args:
+        reaction: Reaction sums (in/out), or None.
+        row: Row of the collider or the wall.
+        push: Impulse on bodies, shape (3,) [kg m/s].
+        speed: Velocity of the boundary, shape (3,) [m/s].
+    """
+    if reaction is not None:
+        work = push[0] * speed[0] + push[1] * speed[1] + push[2] * speed[2]
+        _add(reaction, row, reaction.surface_point, push[0], push[1], push[2], work)
+
+
 # ---- in patches ---------------------------------------------------------------------------------
 
 

@@ -17,6 +17,7 @@ from vgmpi.parallel.exchange_topology import ExchangeTopology, counting_owner
 
 from . import pressure_system
 from .body_response import BodyResponse
+from .kernels import boundaries
 from .plan import DISPLACEMENT
 from .pressure_solver import PressureSolver
 from .pressure_system import INWARD_STEPS, ColliderNodes, pressure_fields
@@ -64,8 +65,6 @@ class ImplicitPressure(ActiveFeature):
         self.fields = pressure_fields(self.blocks, real)
         self.fields.region[: 64 * self.blocks] = cells.region.reshape(-1)
         self.near_colliders = np.flatnonzero(tables.solid >= 0)
-        is_near = np.append(tables.solid >= 0, False)
-        self.near_cells = np.flatnonzero(is_near[self.solver.lattice.high.reshape(-1, 8)].any(1))
         if self.colliders is not None:  # they act on the liquid by the pressure
             self.reserved_nodes = np.ones((len(tables.phase), 64), np.uint8)
         _, closed = self.solver.domain
@@ -74,6 +73,10 @@ class ImplicitPressure(ActiveFeature):
         separates, last = self.separating_walls, np.array(self.plan.cells)
         on_wall = ((index == 0) & separates[:, 0]) | ((index == last) & separates[:, 1])
         self.separating = np.flatnonzero(on_wall.any((1, 2)))  # blocks of this rank
+        on_any_wall = ((index == 0) | (index == last)).any((1, 2))
+        touches = np.append(on_any_wall | (tables.solid >= 0), False)
+        high = self.solver.lattice.high.reshape(-1, 8)
+        self.at_boundaries = np.flatnonzero(touches[high].any(1))  # blocks of cells
 
     def couple_nodes(self, nodes: NodeState, span: StepSpan, gravity: np.ndarray) -> None:
         """Change the velocities of the nodes in a step, and find the displacements.
@@ -101,7 +104,7 @@ class ImplicitPressure(ActiveFeature):
         if self.has_separating_walls:
             exchange.exchange(fields.phi)
             nodes.call(
-                pressure_system.release_nodes, self.separating, lattice, walls, velocity,
+                boundaries.release_nodes, self.separating, lattice, walls, velocity,
                 self.mass_of_cell, plan.dx, fields, level,
             )  # fmt: skip
             solver.each(blocks, pressure_system.set_cells, lattice, guess_scale, fields, level)
@@ -118,16 +121,27 @@ class ImplicitPressure(ActiveFeature):
             bodies.add_impulses(solver.bodies.find_impulses(fields.phi))
             solver.bodies = None  # they stand while positions are corrected
         solver.each(wet, pressure_system.add_velocities, plan.dx, fields, level, velocity)
+        reaction = nodes.reactions[0]
+        if reaction is not None:
+            own = self.mass_of_cell * plan.dx * fields.phi.astype(float) * solver.counted
+            nodes.call(
+                boundaries.record_pressure, self.at_boundaries, lattice, walls, colliders, own,
+                fields, level, reaction,
+            )  # fmt: skip
         nodes.call(
-            pressure_system.hold_at_separating_walls, self.separating, lattice, walls,
-            self.mass_of_cell, plan.dx, fields, level, velocity,
+            boundaries.hold_at_separating_walls, self.separating, lattice, walls,
+            self.mass_of_cell * plan.dx, fields, level, velocity, reaction,
         )  # fmt: skip
         scale = real(1.0 / (dt * self.stiffness))
         solver.each(wet, pressure_system.store_node_pressure, lattice, scale, fields)
         if len(self.near_colliders):
             nodes.call(
-                pressure_system.stop_at_colliders, self.near_colliders, lattice, walls, colliders,
-                plan.dx, fields, velocity, self.reserved_nodes,
+                boundaries.stop_at_colliders, self.near_colliders, lattice, walls,
+                colliders, plan.dx, fields, velocity, reaction,
+            )  # fmt: skip
+            nodes.call(
+                boundaries.reserve_nodes, self.near_colliders, colliders, fields,
+                self.reserved_nodes,
             )  # fmt: skip
         count = 64 * self.blocks
         fields.cover[:count] = fields.filled[:count] + self.outside + fields.covered[:count]
@@ -136,7 +150,7 @@ class ImplicitPressure(ActiveFeature):
         moves = nodes.gathered[DISPLACEMENT]
         moves[:] = 0
         solver.each(wet, pressure_system.store_moves, fields, level, moves)
-        nodes.call(pressure_system.stop_moves, self.separating, lattice, walls, moves)
+        nodes.call(boundaries.stop_moves, self.separating, lattice, walls, moves)
 
     def _pushed_bodies(self) -> PushedBodies | None:
         """Return the free bodies of the run, or None without any."""
@@ -146,13 +160,14 @@ class ImplicitPressure(ActiveFeature):
     def _colliders_at(self, nodes: NodeState, bodies: PushedBodies | None) -> ColliderNodes:
         """Return the colliders at the nodes in this step."""
         real, colliders = self.plan.real, self.colliders
-        body = np.zeros((0, 64), np.int64)
+        body = number = np.zeros((0, 64), np.int64)
         if colliders is None:
             none = np.zeros((0, 64, 4), real), np.zeros((0, 64, 3), real)
-            return ColliderNodes(np.full(self.blocks, -1), *none, body)
+            return ColliderNodes(np.full(self.blocks, -1), *none, number, body)
+        number = colliders.collider_number
         if bodies is not None:
-            body = bodies.number_of[colliders.collider_number]
-        return ColliderNodes(nodes.blocks.solid, colliders.nodes, colliders.moves, body)
+            body = bodies.number_of[number]
+        return ColliderNodes(nodes.blocks.solid, colliders.nodes, colliders.moves, number, body)
 
     def _begin_response(
         self, nodes: NodeState, colliders: ColliderNodes, bodies: PushedBodies, dt: float,
@@ -163,7 +178,7 @@ class ImplicitPressure(ActiveFeature):
             self.response = BodyResponse(self.ranks, self.mass_of_cell, self.plan.dx)
         response = self.response
         response.find_rows(
-            bodies, self.solver, self.near_cells, nodes.walls, colliders, self.fields
+            bodies, self.solver, self.at_boundaries, nodes.walls, colliders, self.fields
         )
         response.begin(bodies, bodies.predict_velocities(dt, gravity))
         return response

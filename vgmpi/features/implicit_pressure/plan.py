@@ -159,10 +159,6 @@ def obstacles(
         for name in () if feature.suits_implicit_pressure else feature.lists:
             if scene.lists[name]:
                 _refuse((name, 0), feature.title)
-    for k, probe in enumerate(scene.probe):
-        if probe.measures_reaction:
-            key = "wall" if probe.wall else "collider"
-            _refuse(("probe", k, key), "probes of forces on a wall or collider")
     if any(time is not None for time in scene.domain.wall_opening_times):
         _refuse(("domain", "boundary"), "walls that open")
     return wrong

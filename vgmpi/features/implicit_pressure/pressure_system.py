@@ -21,13 +21,7 @@ from vgmpi.kernels.simd.row_ops import (
     shift_from_south,
 )
 from vgmpi.kernels.simd.vector16 import load, pointer, store
-from vgmpi.kernels.wall_boundary import (
-    OPEN,
-    RELEASING,
-    SLIP,
-    STICK,
-    apply_coulomb_friction,
-)
+from vgmpi.kernels.wall_boundary import OPEN, RELEASING, SLIP, STICK
 from vgmpi.materials.tensor_math.select import select
 from vgmpi.runtime.aligned_arrays import aligned_zeros
 from vgmpi.runtime.jit import always_inline, kernel
@@ -51,8 +45,6 @@ MIN_SHARE = 1e-3  # [-] liquid that has less of a node does not respond: its vel
 # the spline, 1/4, times the curvature of the face: so convex bodies have their volume.
 CURVATURE_SHIFT, CURVED_DISTANCE = 0.125, 2.0  # [cells^2], [cells]
 RESOLVED_SHARE = 0.5  # [-] where colliders leave less, liquid has no more than its volume
-# [cells] distances from a collider at which approach is stopped wholly, and not at all
-STOP_DISTANCE, FREE_DISTANCE = 0.25, 1.05
 MIN_PRESSURE, MAX_PRESSURE = -0.9, 15.0  # [-] of particles, relative to the Tait coefficient
 
 
@@ -78,6 +70,7 @@ class ColliderNodes(NamedTuple):
     row: np.ndarray  # (blocks,) row of each block, or -1
     nodes: np.ndarray  # (n, 64, 4) outward normal and distance [m]
     moves: np.ndarray  # (n, 64, 3) velocity [m/s], or no rows
+    number: np.ndarray  # (n, 64) number of the nearest collider, or no rows
     body: np.ndarray  # (n, 64) number of a free body, -1 for other colliders, or no rows
 
 
@@ -316,115 +309,6 @@ def set_excess(rows, lattice, fields, level):
             low, own = own, high
 
 
-@always_inline
-def _push_across(b, q, axis, lattice, fields):
-    """Return D^T phi at a node along an axis."""
-    total = 0.0
-    for corner in range(8):  # of the cells around it, those below it where a bit is 0
-        cell = 0
-        block_row = 8 * b
-        for a in range(3):
-            step = q // 16 if a == 0 else (q // 4 % 4 if a == 1 else q % 4)
-            size = 16 if a == 0 else (4 if a == 1 else 1)
-            weight = 4 if a == 0 else (2 if a == 1 else 1)
-            place = step + ((corner // weight) % 2) - 1
-            if place < 0:
-                place += 4
-                block_row += weight
-            cell += size * place
-        above = corner // (4 if axis == 0 else (2 if axis == 1 else 1)) % 2
-        phi = fields.phi[64 * lattice.low[block_row] + cell]
-        total += -0.25 * phi if above else 0.25 * phi
-    return total
-
-
-@always_inline
-def _separating_side(b, q, axis, lattice, walls):
-    """Return 1 or -1 at a node on a separating wall across an axis, the way into the domain."""
-    step = q // 16 if axis == 0 else (q // 4 % 4 if axis == 1 else q % 4)
-    node = 4 * lattice.block[b, axis] - 1 + step
-    if node == 0 and walls.kinds[axis, 0] == RELEASING:
-        return 1
-    if node == walls.cells[axis] and walls.kinds[axis, 1] == RELEASING:
-        return -1
-    return 0
-
-
-@always_inline
-def _kick_across(b, q, axis, lattice, mass, fields):
-    """Return the change of velocity [cells/s] along an axis that phi would make at a node."""
-    if not mass > MIN_NODE_FILL:
-        return 0.0
-    return fields.share[64 * b + q] * _push_across(b, q, axis, lattice, fields) / mass
-
-
-@kernel
-def release_nodes(rows, lattice, walls, velocity, unit, dx, fields, level):
-    """Let nodes on separating walls answer along the normal where phi leaves them going away.
-
-    Those next to colliders stay held.
-
-    Args:
-        rows: Blocks to process, shape (n,).
-        lattice: Blocks, Lattice.
-        walls: Walls of the domain.
-        velocity: Velocities [m/s] and masses [kg], shape (blocks, 256).
-        unit: Mass of a full cell [kg].
-        dx: Cell size [m].
-        fields: PressureFields.
-        level: LevelFields (in/out).
-    """
-    real = level.u.dtype.type
-    for b in rows:
-        for q in range(64):
-            mass = velocity[b, 4 * q + 3] / unit
-            if not mass > MIN_NODE_FILL or fields.free_part[64 * b + q] < 1:
-                continue
-            for a in range(3):
-                side = _separating_side(b, q, a, lattice, walls)
-                speed = float(velocity[b, 4 * q + a]) / dx
-                if side == 0 or not side * speed > 0.0:
-                    continue
-                kick = _kick_across(b, q, a, lattice, mass, fields)
-                if side * (speed + kick) > 0.0:
-                    level.inverse[192 * b + 64 * a + q] = real(1.0 / mass)
-                    level.u[192 * b + 64 * a + q] = real(speed)
-
-
-@kernel
-def hold_at_separating_walls(rows, lattice, walls, unit, dx, fields, level, velocity):
-    """Stop what approaches separating walls, with friction by what the pressure presses.
-
-    Args:
-        rows: Blocks to process, shape (n,).
-        lattice: Blocks, Lattice.
-        walls: Walls of the domain.
-        unit: Mass of a full cell [kg].
-        dx: Cell size [m].
-        fields: PressureFields.
-        level: LevelFields.
-        velocity: Velocities [m/s] and masses [kg], shape (blocks, 256) (velocities in/out).
-    """
-    for b in rows:
-        for q in range(64):
-            for a in range(3):
-                side = _separating_side(b, q, a, lattice, walls)
-                if side == 0:
-                    continue
-                push = max(-side * float(velocity[b, 4 * q + a]), 0.0)
-                if level.inverse[192 * b + 64 * a + q] > 0:
-                    if push > 0.0:
-                        velocity[b, 4 * q + a] = 0
-                else:
-                    velocity[b, 4 * q + a] = 0
-                    mass = velocity[b, 4 * q + 3] / unit
-                    kick = dx * _kick_across(b, q, a, lattice, mass, fields)
-                    push = max(-side * kick, 0.0)
-                if push > 0.0:
-                    friction = walls.friction[a, 0] if side > 0 else walls.friction[a, 1]
-                    apply_coulomb_friction(velocity[b], 4 * q, friction * push)
-
-
 @kernel
 def add_velocities(rows, dx, fields, level, velocity):
     """Add what u is for the liquid to the velocities of the nodes of some blocks.
@@ -443,53 +327,6 @@ def add_velocities(rows, dx, fields, level, velocity):
             per_share = size / share if share > 0 else size
             for a in range(3):
                 velocity[b, 4 * q + a] += per_share * level.u[192 * b + 64 * a + q]
-
-
-@kernel
-def stop_at_colliders(rows, lattice, walls, colliders, dx, fields, velocity, reserved):
-    """Stop the approach of nodes to colliders where no cell around them has pressure.
-
-    Free bodies do so themselves: such nodes of theirs are not reserved.
-
-    Args:
-        rows: Blocks to process, shape (n,).
-        lattice: Blocks, Lattice.
-        walls: Walls of the domain, which hold their nodes.
-        colliders: ColliderNodes.
-        dx: Cell size [m].
-        fields: PressureFields; `cover` is lost.
-        velocity: Velocities [m/s], shape (blocks, 256) (in/out).
-        reserved: 1 at the nodes at which colliders do not act later, shape (blocks, 64) (out).
-    """
-    low, filled, wet = pointer(lattice.low), pointer(fields.filled), pointer(fields.cover)
-    for b in rows:
-        row = colliders.row[b]
-        if row < 0:
-            continue
-        before, _, _ = differences_below(filled, low, 8 * b + 4, 48)
-        for x in range(4):
-            after, _, _ = differences_below(filled, low, 8 * b, 16 * x)
-            store(wet, 64 * b + 16 * x, before + after)
-            before = after
-        for q in range(64):
-            distance = colliders.nodes[row, q, 3] / dx
-            is_free = len(colliders.body) > 0 and colliders.body[row, q] >= 0
-            is_wet = fields.cover[64 * b + q] > 0
-            reserved[b, q] = is_wet or not is_free
-            if is_wet or is_free or not distance < FREE_DISTANCE:
-                continue
-            approach = 0.0
-            for a in range(3):
-                speed = float(velocity[b, 4 * q + a])
-                if len(colliders.moves) > 0:
-                    speed -= colliders.moves[row, q, a]
-                approach -= speed * colliders.nodes[row, q, a]
-            part = min((FREE_DISTANCE - distance) / (FREE_DISTANCE - STOP_DISTANCE), 1.0)
-            for a in range(3):
-                if is_held(b, q, a, lattice, walls):
-                    continue
-                change = part * max(approach, 0.0) * colliders.nodes[row, q, a]
-                velocity[b, 4 * q + a] += velocity.dtype.type(change)
 
 
 @kernel
@@ -537,21 +374,3 @@ def store_moves(rows, fields, level, moves):
                 move = per_share * level.u[192 * b + 64 * a + q]
                 moves[b, 4 * q + a] = min(max(move, -limit), limit)
             moves[b, 4 * q + 3] = fields.guess[64 * b + q]
-
-
-@kernel
-def stop_moves(rows, lattice, walls, moves):
-    """Stop displacements of nodes on separating walls that lead beyond these.
-
-    Args:
-        rows: Blocks to process, shape (n,).
-        lattice: Blocks, Lattice.
-        walls: Walls of the domain.
-        moves: See `store_moves` (in/out).
-    """
-    for b in rows:
-        for q in range(64):
-            for a in range(3):
-                side = _separating_side(b, q, a, lattice, walls)
-                if side * moves[b, 4 * q + a] < 0:
-                    moves[b, 4 * q + a] = 0

@@ -1,0 +1,311 @@
+"""Pressure at boundaries: what walls and colliders stop, let go and take up.
+
+The system holds nodes at walls and shares them with colliders (pressure_system.py). Around its
+solution, separating walls release nodes or hold them with friction, nodes without pressure around
+them are stopped as they approach something, and the reactions of walls and colliders are recorded:
+of the impulse D^T phi of a node, a collider takes its share, and a wall what it holds of the rest.
+"""
+
+import numpy as np
+
+from vgmpi.kernels.reaction_impulses import (
+    add_contact_reaction,
+    add_pressure_reaction,
+    add_wall_reaction,
+    set_block,
+    set_collider,
+    set_node,
+    set_wall,
+)
+from vgmpi.kernels.simd.vector16 import pointer, store
+from vgmpi.kernels.wall_boundary import RELEASING, SLIP, STICK, apply_coulomb_friction
+from vgmpi.runtime.jit import always_inline, kernel
+
+from ..pressure_system import MIN_NODE_FILL
+from .cell_stencils import differences_below, is_held
+
+# [cells] distances from a collider at which approach is stopped wholly, and not at all
+STOP_DISTANCE, FREE_DISTANCE = 0.25, 1.05
+
+
+@always_inline
+def _push_across(b, q, axis, lattice, fields):
+    """Return D^T phi at a node along an axis."""
+    total = 0.0
+    for corner in range(8):  # of the cells around it, those below it where a bit is 0
+        cell = 0
+        block_row = 8 * b
+        for a in range(3):
+            step = q // 16 if a == 0 else (q // 4 % 4 if a == 1 else q % 4)
+            size = 16 if a == 0 else (4 if a == 1 else 1)
+            weight = 4 if a == 0 else (2 if a == 1 else 1)
+            place = step + ((corner // weight) % 2) - 1
+            if place < 0:
+                place += 4
+                block_row += weight
+            cell += size * place
+        above = corner // (4 if axis == 0 else (2 if axis == 1 else 1)) % 2
+        phi = fields.phi[64 * lattice.low[block_row] + cell]
+        total += -0.25 * phi if above else 0.25 * phi
+    return total
+
+
+@always_inline
+def _separating_side(b, q, axis, lattice, walls):
+    """Return 1 or -1 at a node on a separating wall across an axis, the way into the domain."""
+    step = q // 16 if axis == 0 else (q // 4 % 4 if axis == 1 else q % 4)
+    node = 4 * lattice.block[b, axis] - 1 + step
+    if node == 0 and walls.kinds[axis, 0] == RELEASING:
+        return 1
+    if node == walls.cells[axis] and walls.kinds[axis, 1] == RELEASING:
+        return -1
+    return 0
+
+
+@always_inline
+def _kick_across(b, q, axis, lattice, mass, fields):
+    """Return share D^T phi / mass of a node along an axis, 0 without mass."""
+    if not mass > 0.0:
+        return 0.0
+    return fields.share[64 * b + q] * _push_across(b, q, axis, lattice, fields) / mass
+
+
+@kernel
+def release_nodes(rows, lattice, walls, velocity, unit, dx, fields, level):
+    """Let nodes on separating walls answer along the normal where phi leaves them going away.
+
+    Those next to colliders stay held.
+
+    Args:
+        rows: Blocks to process, shape (n,).
+        lattice: Blocks, Lattice.
+        walls: Walls of the domain.
+        velocity: Velocities [m/s] and masses [kg], shape (blocks, 256).
+        unit: Mass of a full cell [kg].
+        dx: Cell size [m].
+        fields: PressureFields.
+        level: LevelFields (in/out).
+    """
+    real = level.u.dtype.type
+    for b in rows:
+        for q in range(64):
+            mass = velocity[b, 4 * q + 3] / unit
+            if not mass > MIN_NODE_FILL or fields.free_part[64 * b + q] < 1:
+                continue
+            for a in range(3):
+                side = _separating_side(b, q, a, lattice, walls)
+                speed = float(velocity[b, 4 * q + a]) / dx
+                if side == 0 or not side * speed > 0.0:
+                    continue
+                kick = _kick_across(b, q, a, lattice, mass, fields)
+                if side * (speed + kick) > 0.0:
+                    level.inverse[192 * b + 64 * a + q] = real(1.0 / mass)
+                    level.u[192 * b + 64 * a + q] = real(speed)
+
+
+@kernel
+def hold_at_separating_walls(rows, lattice, walls, impulse, fields, level, velocity, reaction):
+    """Stop what approaches separating walls, with friction by what the pressure presses.
+
+    Args:
+        rows: Blocks to process, shape (n,).
+        lattice: Blocks, Lattice.
+        walls: Walls of the domain.
+        impulse: Impulse per D^T phi [kg m].
+        fields: PressureFields.
+        level: LevelFields.
+        velocity: Velocities [m/s] and masses [kg], shape (blocks, 256) (velocities in/out).
+        reaction: Reaction sums (in/out), or None.
+    """
+    before, first = np.zeros(3), np.zeros(3, np.int64)
+    for b in rows:
+        set_block(reaction, b)
+        for a in range(3):
+            first[a] = 4 * lattice.block[b, a] - 1
+        for q in range(64):
+            for a in range(3):
+                side = _separating_side(b, q, a, lattice, walls)
+                if side == 0:
+                    continue
+                for c in range(3):
+                    before[c] = velocity[b, 4 * q + c]
+                push = max(-side * float(velocity[b, 4 * q + a]), 0.0)
+                if level.inverse[192 * b + 64 * a + q] > 0:
+                    if push > 0.0:
+                        velocity[b, 4 * q + a] = 0
+                else:
+                    velocity[b, 4 * q + a] = 0
+                    mass = velocity[b, 4 * q + 3]
+                    kick = impulse * _kick_across(b, q, a, lattice, mass, fields)
+                    push = max(-side * kick, 0.0)
+                if push > 0.0:
+                    friction = walls.friction[a, 0] if side > 0 else walls.friction[a, 1]
+                    apply_coulomb_friction(velocity[b], 4 * q, friction * push)
+                plane = 0 if side > 0 else walls.cells[a]
+                add_wall_reaction(
+                    reaction, a, int(side < 0), plane, q, first, before,
+                    velocity[b, 4 * q : 4 * q + 4],
+                )  # fmt: skip
+
+
+@kernel
+def stop_at_colliders(rows, lattice, walls, colliders, dx, fields, velocity, reaction):
+    """Stop the approach of nodes to colliders where no cell around them has pressure.
+
+    Free bodies do so themselves.
+
+    Args:
+        rows: Blocks to process, shape (n,).
+        lattice: Blocks, Lattice.
+        walls: Walls of the domain, which hold their nodes.
+        colliders: ColliderNodes.
+        dx: Cell size [m].
+        fields: PressureFields; `cover` becomes above 0 at nodes with pressure around them.
+        velocity: Velocities [m/s], shape (blocks, 256) (in/out).
+        reaction: Reaction sums (in/out), or None.
+    """
+    low, filled, wet = pointer(lattice.low), pointer(fields.filled), pointer(fields.cover)
+    before, after, move, surface = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(4)
+    for b in rows:
+        row = colliders.row[b]
+        if row < 0:
+            continue
+        set_block(reaction, b)
+        lower, _, _ = differences_below(filled, low, 8 * b + 4, 48)
+        for x in range(4):
+            upper, _, _ = differences_below(filled, low, 8 * b, 16 * x)
+            store(wet, 64 * b + 16 * x, lower + upper)
+            lower = upper
+        for q in range(64):
+            distance = colliders.nodes[row, q, 3] / dx
+            is_free = len(colliders.body) > 0 and colliders.body[row, q] >= 0
+            if fields.cover[64 * b + q] > 0 or is_free or not distance < FREE_DISTANCE:
+                continue
+            approach = 0.0
+            for a in range(3):
+                if len(colliders.moves) > 0:
+                    move[a] = colliders.moves[row, q, a]
+                speed = float(velocity[b, 4 * q + a]) - move[a]
+                approach -= speed * colliders.nodes[row, q, a]
+            part = min((FREE_DISTANCE - distance) / (FREE_DISTANCE - STOP_DISTANCE), 1.0)
+            for a in range(3):
+                before[a] = velocity[b, 4 * q + a]
+                if not is_held(b, q, a, lattice, walls):
+                    change = part * max(approach, 0.0) * colliders.nodes[row, q, a]
+                    velocity[b, 4 * q + a] += velocity.dtype.type(change)
+                after[a] = velocity[b, 4 * q + a]
+            if len(colliders.number) > 0:
+                i, j, k = q // 16, q // 4 % 4, q % 4
+                x, y, z = lattice.block[b]
+                set_node(reaction, q, 4 * x - 1 + i, 4 * y - 1 + j, 4 * z - 1 + k)
+                for c in range(4):
+                    surface[c] = colliders.nodes[row, q, c]
+                set_collider(reaction, colliders.number[row, q], surface)
+                add_contact_reaction(reaction, before, after, velocity[b, 4 * q + 3], move, 0, 0)
+
+
+@kernel
+def reserve_nodes(rows, colliders, fields, reserved):
+    """Mark the nodes at which colliders do not act later: all but those of free bodies in spray.
+
+    Args:
+        rows: Blocks to process, shape (n,).
+        colliders: ColliderNodes.
+        fields: PressureFields, see `stop_at_colliders`.
+        reserved: 1 at such nodes, shape (blocks, 64) (out).
+    """
+    for b in rows:
+        row = colliders.row[b]
+        for q in range(64):
+            is_free = row >= 0 and len(colliders.body) > 0 and colliders.body[row, q] >= 0
+            reserved[b, q] = fields.cover[64 * b + q] > 0 or not is_free
+
+
+@always_inline
+def _holding_wall(b, q, axis, lattice, walls):
+    """Return the number of the wall that holds a node along an axis, west to roof, or -1."""
+    stick = -1
+    for a in range(3):
+        step = q // 16 if a == 0 else (q // 4 % 4 if a == 1 else q % 4)
+        node = 4 * lattice.block[b, a] - 1 + step
+        for side in range(2):
+            if node != side * walls.cells[a]:
+                continue
+            kind = walls.kinds[a, side]
+            if a == axis and kind in (STICK, SLIP, RELEASING):
+                return 2 * a + side
+            if kind == STICK:
+                stick = 2 * a + side
+    return stick
+
+
+@kernel
+def record_pressure(rows, lattice, walls, colliders, potential, fields, level, reaction):
+    """Record what colliders and walls take up of the impulses of the cells of some blocks.
+
+    Args:
+        rows: Blocks to process, shape (n,).
+        lattice: Blocks, Lattice.
+        walls: Walls of the domain.
+        colliders: ColliderNodes.
+        potential: Impulse [kg m/s] of the cells that this rank counts, else 0, flat.
+        fields: PressureFields.
+        level: LevelFields.
+        reaction: Reaction sums (in/out).
+    """
+    push, move, ijk = np.zeros(3), np.zeros(3), np.zeros(3, np.int64)
+    surface, none = np.zeros(4), np.zeros(4)
+    for b in rows:
+        for q in range(64):
+            quarter = 0.25 * float(potential[64 * b + q])
+            if quarter == 0.0:
+                continue
+            for corner in range(8):
+                x, y, z = q // 16 + corner // 4, q // 4 % 4 + corner // 2 % 2, q % 4 + corner % 2
+                block = lattice.high[8 * b + 4 * (x // 4) + 2 * (y // 4) + z // 4]
+                if block >= len(colliders.row):
+                    continue
+                node = 16 * (x % 4) + 4 * (y % 4) + z % 4
+                for a in range(3):
+                    step = node // 16 if a == 0 else (node // 4 % 4 if a == 1 else node % 4)
+                    ijk[a] = 4 * lattice.block[block, a] - 1 + step
+                set_node(reaction, node, ijk[0], ijk[1], ijk[2])
+                share, row = fields.share[64 * block + node], colliders.row[block]
+                is_shared = row >= 0 and fields.free_part[64 * block + node] < 1 and share < 1
+                if is_shared and (len(colliders.body) == 0 or colliders.body[row, node] < 0):
+                    for a in range(3):
+                        bit = corner // (4 if a == 0 else (2 if a == 1 else 1)) % 2
+                        push[a] = (1.0 - share) * (-quarter if bit else quarter)
+                        move[a] = colliders.moves[row, node, a] if len(colliders.moves) > 0 else 0.0
+                    for c in range(4):
+                        surface[c] = colliders.nodes[row, node, c]
+                    set_collider(reaction, colliders.number[row, node], surface)
+                    add_pressure_reaction(reaction, colliders.number[row, node], push, move)
+                for a in range(3):
+                    wall = _holding_wall(block, node, a, lattice, walls)
+                    if wall < 0 or level.inverse[192 * block + 64 * a + node] > 0:
+                        continue
+                    for c in range(3):
+                        push[c] = move[c] = 0.0
+                    bit = corner // (4 if a == 0 else (2 if a == 1 else 1)) % 2
+                    push[a] = share * (-quarter if bit else quarter)
+                    set_wall(reaction, wall // 2, wall % 2, none)
+                    add_pressure_reaction(reaction, reaction.first + wall, push, move)
+
+
+@kernel
+def stop_moves(rows, lattice, walls, moves):
+    """Stop displacements of nodes on separating walls that lead beyond these.
+
+    Args:
+        rows: Blocks to process, shape (n,).
+        lattice: Blocks, Lattice.
+        walls: Walls of the domain.
+        moves: See `store_moves` (in/out).
+    """
+    for b in rows:
+        for q in range(64):
+            for a in range(3):
+                side = _separating_side(b, q, a, lattice, walls)
+                if side * moves[b, 4 * q + a] < 0:
+                    moves[b, 4 * q + a] = 0
