@@ -5,9 +5,15 @@ import math
 import pytest
 
 import vgmpi
-from tests.features.test_implicit_pressure_rules import POST, PROBE, SAND, refusal
+from tests.features.test_implicit_pressure_rules import POST, SAND, refusal
 from vgmpi.commands import cli
 
+PROBE = """
+[[probe]]
+name = "push"
+wall = "bottom"
+sampling_rate = 100
+"""
 SCENE = """
 [accuracy]
 viscosity = "implicit"
