@@ -30,13 +30,14 @@ from vgmpi.kernels.simd.reproducible_add import (
     words_of,
 )
 from vgmpi.kernels.simd.vector16 import SIMD_WIDTH, load, pointer, prefetch, store
-from vgmpi.runtime.jit import borrowing_kernel, device_function
+from vgmpi.runtime.jit import always_inline, borrowing_kernel, device_function
 
 from .particle_records import row_of
 from .wall_boundary import SIDE
 
 ACCUMULATOR_BITS = 46  # binary digits that a sum keeps below its scale
 SECOND_WORD_SHIFT = 40  # binary digits from the quantum of the first word to that of the second
+REMAINDER = 2.0**-36  # [quanta] quantum of what rounding to whole quanta leaves of a term
 
 
 def accumulator_words(real) -> int:
@@ -338,3 +339,19 @@ def unpack(numbers, tails, blocks, masks, sums, bias, phase):
                 )
                 remaining &= remaining - np.uint64(1)
                 n += 1
+
+
+@always_inline
+def add_in_quanta(sums, place, term, per_quantum):
+    """Add a term to a sum of whole numbers, of quanta and of what rounding to these leaves.
+
+    Args:
+        sums: Whole numbers of quanta and of remainders, shape (n, 2) int64 (in/out).
+        place: Number of the sum.
+        term: The term.
+        per_quantum: Inverse of the quantum.
+    """
+    quanta = term * per_quantum
+    units = np.rint(quanta)
+    sums[place, 0] += np.int64(units)
+    sums[place, 1] += np.int64(np.rint((quanta - units) / REMAINDER))

@@ -18,6 +18,7 @@ import numpy as np
 
 from vgmpi.features.active_feature import PushedBodies
 from vgmpi.kernels.kernel_arguments import Walls
+from vgmpi.kernels.reproducible_sums import REMAINDER, next_power_of_two
 from vgmpi.parallel.communicator import SerialCommunicator
 
 from .kernels import body_rows
@@ -25,7 +26,6 @@ from .kernels.relaxation import LevelFields
 
 UNIT_BITS = 20  # binary digits below the largest number of a field, for sums over cells
 MATRIX_UNIT = 2.0**-10  # of the sums of J^T S J
-REMAINDER = body_rows.REMAINDER
 
 
 class BodyResponse:
@@ -82,9 +82,13 @@ class BodyResponse:
         body_rows.condense(self.mobility, self.matrix, self.condensed)
 
     def take_magnitude(self, magnitude: float) -> None:
-        """Take the largest number of this rank, of which sums are taken next. Collective."""
-        maximum = float(self.ranks.max(np.array([magnitude]))[0])
-        self.unit = 2.0 ** (np.ceil(np.log2(maximum)) - UNIT_BITS) if maximum > 0.0 else 1.0
+        """Take the largest number, a power of two on all ranks, of which sums are taken next."""
+        self.unit = magnitude * 2.0**-UNIT_BITS
+
+    def find_magnitude(self, values: np.ndarray) -> None:
+        """Take the largest of the numbers of all ranks, see `take_magnitude`. Collective."""
+        own = np.array([float(np.abs(values).max(initial=0))])
+        self.take_magnitude(float(next_power_of_two(float(self.ranks.max(own)[0]))))
 
     def begin_first_sweep(self) -> None:
         """Prepare for a sweep before which the correction is 0."""
@@ -125,7 +129,7 @@ class BodyResponse:
         Args:
             phi: Potential, flat.
         """
-        self.take_magnitude(float(np.abs(phi).max(initial=0)))
+        self.find_magnitude(phi)
         unit = self.mass_of_cell * self.dx
         return self._sum(phi).reshape(-1, 6) * np.array([unit] * 3 + [unit * self.dx] * 3)
 

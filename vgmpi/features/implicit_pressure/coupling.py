@@ -41,7 +41,6 @@ class ImplicitPressure(ActiveFeature):
         self.features = context.features
         kinds = np.array([kind for kind, _ in plan.walls.liquids]).reshape(3, 2)
         self.separating_walls = kinds == "separate"
-        self.has_separating_walls = bool(self.separating_walls.any())
         self.response: BodyResponse | None = None
 
     def set_topology(self, tables: ExchangeTopology, census: BlockDirectory) -> None:
@@ -72,11 +71,15 @@ class ImplicitPressure(ActiveFeature):
         self.outside = is_beyond.any(2).astype(real).reshape(-1)
         separates, last = self.separating_walls, np.array(self.plan.cells)
         on_wall = ((index == 0) & separates[:, 0]) | ((index == last) & separates[:, 1])
-        self.separating = np.flatnonzero(on_wall.any((1, 2)))  # blocks of this rank
+        touches = on_wall.any((1, 2))
+        self.separating, self.beside_separating = np.flatnonzero(touches), self._cells_at(touches)
         on_any_wall = ((index == 0) | (index == last)).any((1, 2))
-        touches = np.append(on_any_wall | (tables.solid >= 0), False)
+        self.at_boundaries = self._cells_at(on_any_wall | (tables.solid >= 0))
+
+    def _cells_at(self, touches: np.ndarray) -> np.ndarray:
+        """Return the blocks of the cells around the nodes of marked blocks (n,)."""
         high = self.solver.lattice.high.reshape(-1, 8)
-        self.at_boundaries = np.flatnonzero(touches[high].any(1))  # blocks of cells
+        return np.flatnonzero(np.append(touches, False)[high].any(1))
 
     def couple_nodes(self, nodes: NodeState, span: StepSpan, gravity: np.ndarray) -> None:
         """Change the velocities of the nodes in a step, and find the displacements.
@@ -101,13 +104,16 @@ class ImplicitPressure(ActiveFeature):
         guess_scale = real(dt * self.stiffness)
         solver.each(blocks, pressure_system.set_cells, lattice, guess_scale, fields, level)
         exchange.exchange(fields.filled)
-        if self.has_separating_walls:
+        if self.separating_walls.any():
             exchange.exchange(fields.phi)
             nodes.call(
                 boundaries.release_nodes, self.separating, lattice, walls, velocity,
                 self.mass_of_cell, plan.dx, fields, level,
             )  # fmt: skip
-            solver.each(blocks, pressure_system.set_cells, lattice, guess_scale, fields, level)
+            nodes.call(
+                pressure_system.set_cells, self.beside_separating, lattice, guess_scale, fields,
+                level,
+            )  # fmt: skip
             exchange.exchange(fields.filled)
         self._spread_inward(nodes)
         cells, wet = self._find_wet_blocks()
@@ -139,10 +145,11 @@ class ImplicitPressure(ActiveFeature):
                 boundaries.stop_at_colliders, self.near_colliders, lattice, walls,
                 colliders, plan.dx, fields, velocity, reaction,
             )  # fmt: skip
-            nodes.call(
-                boundaries.reserve_nodes, self.near_colliders, colliders, fields,
-                self.reserved_nodes,
-            )  # fmt: skip
+            if bodies is not None:
+                nodes.call(
+                    boundaries.reserve_nodes, self.near_colliders, colliders, fields,
+                    self.reserved_nodes,
+                )  # fmt: skip
         count = 64 * self.blocks
         fields.cover[:count] = fields.filled[:count] + self.outside + fields.covered[:count]
         solver.each(cells, pressure_system.set_excess, lattice, fields, level)

@@ -31,7 +31,6 @@ POSITION_SWEEPS = Sweeps(10, 0.1)
 REST_BITS = 40  # binary digits of the largest residual that the coarse levels take
 MIN_EXPONENT = -60  # of the largest residual: smaller ones are nothing
 PRODUCT_BITS, SECOND_BITS = 20, 40  # of a product, in units, and of what rounding leaves
-BODY_UNIT = 2.0**-20  # [-] of the largest residual: unit of the sums of free bodies
 # With fewer blocks, one thread sweeps faster than two that wait for each other at every sweep: two
 # save about 6 us per block and step, and wait 4.8 ms (vgmpi bench board --only dam_break splash).
 SHARED_BLOCKS = 800
@@ -67,7 +66,7 @@ class CoarseLevels:
         finer, limit = finest, self.real.type(multigrid.MAX_RESPONSE)
         finer_rows = np.arange(len(finest.scale) // 64 - 1)
         is_wet = np.any(finest.scale.reshape(-1, 64) > 0, 1)  # the last row is that of no block
-        has_cells = np.zeros(len(blocks.parent) + 1, bool)
+        has_cells, block = np.zeros(len(blocks.parent) + 1, bool), blocks.lattice.block
         for number in range(len(blocks.first) - 1):
             first, last = blocks.first[number], blocks.first[number + 1]
             rows = np.arange(first, last)
@@ -81,7 +80,6 @@ class CoarseLevels:
             if number == 0 and self.ranks.size > 1:
                 sums[rows] = self.ranks.sum(sums[rows].astype(np.int64))
             size = blocks.sizes[number + 1]
-            block = blocks.lattice.block
             call(multigrid.set_responses, rows, block, size, self.closed, sums, level)
             call(multigrid.set_diagonal, rows, blocks.lattice, level)
             own = level.scale[64 * first : 64 * last].reshape(-1, 64)
@@ -267,12 +265,12 @@ class PressureSolver:
         direction[:] = 0
         product[:] = 0
         if self.bodies is not None:
-            self.bodies.take_magnitude(float(np.abs(phi).max(initial=0)))
+            self.bodies.find_magnitude(phi)
         self._multiply(phi, self.product)
         residual -= product
         magnitude = self._prepare_levels(residual)
         if self.bodies is not None:
-            self.bodies.unit = magnitude * BODY_UNIT
+            self.bodies.take_magnitude(magnitude)
         before = 0.0
         for iteration in range(ITERATIONS):
             self._precondition(magnitude)
@@ -328,14 +326,7 @@ class PressureSolver:
         """Return the sum of the products of the numbers of all cells of all ranks."""
         sums = np.zeros(2, np.int64)
         unit = (magnitude * magnitude) * 2.0**-PRODUCT_BITS
-        self._call_kernel(
-            relaxation.sum_products,
-            np.concatenate(self.cells),
-            a,
-            b,
-            self.counted,
-            1.0 / unit,
-            sums,
-        )
+        rows = np.concatenate(self.cells)
+        self._call_kernel(relaxation.sum_products, rows, a, b, self.counted, 1.0 / unit, sums)
         first, second = self.ranks.sum(sums).tolist()
         return ((first << SECOND_BITS) + second) * 2.0**-SECOND_BITS * unit

@@ -30,7 +30,7 @@ from vgmpi.kernels.colliders.surface_flow import (
     touches_surface,
     traction_share,
 )
-from vgmpi.kernels.reproducible_sums import next_power_of_two
+from vgmpi.kernels.reproducible_sums import REMAINDER, next_power_of_two
 from vgmpi.kernels.step_records import StepSpan
 from vgmpi.kernels.wall_boundary import RELEASING, SEPARATE, SLIP, STICK
 from vgmpi.parallel.block_ownership import BlockDirectory
@@ -244,7 +244,7 @@ class RigidBodies(ActiveFeature):
             count, self.contacts, bodies.v, nodes.velocities, units, impulses
         )
         impulses = self.ranks.sum(impulses)
-        total = impulses[..., 0] + impulses[..., 1] * free_coupling.REMAINDER
+        total = impulses[..., 0] + impulses[..., 1] * REMAINDER
         total *= units[[0, 0, 0, 1, 1, 1]]
         bodies.momentum -= total[:, :3]
         bodies.spin -= total[:, 3:]

@@ -19,11 +19,11 @@ References:
 
 import numpy as np
 
+from vgmpi.kernels.reproducible_sums import REMAINDER, add_in_quanta
 from vgmpi.runtime.jit import always_inline, device_function, kernel
 
 # 21 of a symmetric matrix, 6 of the right-hand side, nodes that changed their state, nodal mass
 SUMS = 29
-REMAINDER = 2.0**-36  # [quanta] quantum of what rounding to whole quanta leaves of a term
 _LEVERS = (1, 2), (0, 2), (0, 1)  # components of a velocity that change with a turn about each axis
 
 
@@ -76,18 +76,9 @@ def _coupled_masses(contacts, q, fraction):
     return along, across
 
 
-@always_inline
-def _add_term(sums, place, term, per_quantum):
-    """Add a term to a sum in whole quanta, and its remainder; sums: (n, 2)."""
-    quanta = term * per_quantum
-    units = np.rint(quanta)
-    sums[place, 0] += np.int64(units)
-    sums[place, 1] += np.int64(np.rint((quanta - units) / REMAINDER))
-
-
 @device_function
 def _total(sums, place, quantum):
-    """Return a sum of `_add_term`."""
+    """Return a sum of `add_in_quanta`."""
     return (sums[place, 0] + sums[place, 1] * REMAINDER) * quantum
 
 
@@ -99,7 +90,7 @@ def _add_traction(sums, per_quantum, push, r):
         r[0] * push[2] - r[2] * push[0], r[1] * push[0] - r[0] * push[1],
     )  # fmt: skip
     for a in range(6):
-        _add_term(sums, 21 + a, term[a], per_quantum[21 + a])
+        add_in_quanta(sums, 21 + a, term[a], per_quantum[21 + a])
 
 
 @kernel
@@ -145,12 +136,12 @@ def sum_contacts(count, contacts, v, quanta, sums):
                 else:
                     i, j = _LEVERS[a - 3]
                     term = g[i, a] * h[i, c] + g[j, a] * h[j, c]
-                _add_term(sums[k], place, term, per_quantum[place])
+                add_in_quanta(sums[k], place, term, per_quantum[place])
                 place += 1
         s = contacts.velocity[q]
         for a in range(6):
             term = h[0, a] * s[0] + h[1, a] * s[1] + h[2, a] * s[2]
-            _add_term(sums[k], 21 + a, term, per_quantum[21 + a])
+            add_in_quanta(sums[k], 21 + a, term, per_quantum[21 + a])
 
 
 @kernel
@@ -279,5 +270,5 @@ def apply_impulses(count, contacts, v, velocities, quanta, impulses):
             r[0] * push[1] - r[1] * push[0],
         )
         for c in range(3):
-            _add_term(impulses[k], c, push[c], 1.0 / quanta[0])
-            _add_term(impulses[k], 3 + c, moment[c], 1.0 / quanta[1])
+            add_in_quanta(impulses[k], c, push[c], 1.0 / quanta[0])
+            add_in_quanta(impulses[k], 3 + c, moment[c], 1.0 / quanta[1])

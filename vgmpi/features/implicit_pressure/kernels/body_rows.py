@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vgmpi.kernels.colliders.sdf_sampling import set_node_indices
+from vgmpi.kernels.reproducible_sums import add_in_quanta
 from vgmpi.runtime.jit import always_inline, kernel
 
-from .cell_stencils import is_held
-
-REMAINDER = 2.0**-36  # [units] unit of what rounding to whole units leaves
+from .cell_stencils import corner_node, corner_sign, is_held
 
 
 class BodyRows(NamedTuple):
@@ -35,14 +35,6 @@ def body_rows(n: int) -> BodyRows:
     )  # fmt: skip
 
 
-@always_inline
-def _add(sums, term, per_unit):
-    """Add a term to a sum in whole units, and its remainder; sums: (2,)."""
-    units = np.rint(term * per_unit)
-    sums[0] += np.int64(units)
-    sums[1] += np.int64(np.rint((term * per_unit - units) / REMAINDER))
-
-
 @kernel
 def find_rows(blocks, lattice, walls, colliders, centers, fields, scale, out):
     """Find the rows of some blocks; return their number, which may be above that of `out`.
@@ -57,7 +49,7 @@ def find_rows(blocks, lattice, walls, colliders, centers, fields, scale, out):
         scale: Inverse diagonal, above 0 in the cells with pressure of this rank, flat.
         out: BodyRows, but for what this rank counts (out).
     """
-    row, arm, weight = np.zeros(6), np.zeros(3), np.zeros(3)
+    row, arm, weight, ijk = np.zeros(6), np.zeros(3), np.zeros(3), np.zeros(3, np.int64)
     count = 0
     for b in blocks:
         for q in range(64):
@@ -66,20 +58,17 @@ def find_rows(blocks, lattice, walls, colliders, centers, fields, scale, out):
                 continue
             first = count
             for corner in range(8):
-                x, y, z = q // 16 + corner // 4, q // 4 % 4 + corner // 2 % 2, q % 4 + corner % 2
-                block = lattice.high[8 * b + 4 * (x // 4) + 2 * (y // 4) + z // 4]
+                block, node = corner_node(b, q, corner, lattice)
                 if block >= len(colliders.row) or colliders.row[block] < 0:
                     continue
-                node = 16 * (x % 4) + 4 * (y % 4) + z % 4
+                set_node_indices(ijk, lattice.block[block], node)
                 body = colliders.body[colliders.row[block], node]
                 free, share = fields.free_part[64 * block + node], fields.share[64 * block + node]
                 if body < 0 or not free < 1 or not share < 1:
                     continue
                 for a in range(3):
-                    step = x % 4 if a == 0 else (y % 4 if a == 1 else z % 4)
-                    arm[a] = 4 * lattice.block[block, a] - 1 + step - centers[body, a]
-                    bit = corner // 4 if a == 0 else (corner // 2 % 2 if a == 1 else corner % 2)
-                    weight[a] = (0.25 if bit else -0.25) * (1.0 - share)
+                    arm[a] = ijk[a] - centers[body, a]
+                    weight[a] = 0.25 * corner_sign(corner, a) * (1.0 - share)
                     if is_held(block, node, a, lattice, walls):
                         weight[a] = 0.0
                 row[0], row[1], row[2] = weight[0], weight[1], weight[2]
@@ -147,7 +136,9 @@ def sum_matrix(count, rows, level, per_unit, sums):
             for a in range(6):
                 for b in range(6):
                     term = scale * rows.jacobian[n, a] * rows.jacobian[other, b]
-                    _add(sums[6 * rows.body[n] + a, 6 * rows.body[other] + b], term, per_unit)
+                    add_in_quanta(
+                        sums[6 * rows.body[n] + a], 6 * rows.body[other] + b, term, per_unit
+                    )
 
 
 @kernel
@@ -164,7 +155,7 @@ def sum_potential(count, rows, potential, per_unit, sums):
     for n in range(count):
         value = float(potential[rows.cell[n]]) * rows.counts[n]
         for a in range(6):
-            _add(sums[6 * rows.body[n] + a], rows.jacobian[n, a] * value, per_unit)
+            add_in_quanta(sums, 6 * rows.body[n] + a, rows.jacobian[n, a] * value, per_unit)
 
 
 @kernel
@@ -192,8 +183,8 @@ def sum_sweep(count, rows, weight, inertia, level, per_unit, sums):
         scaled = change / float(weight) * rows.counts[n]
         for a in range(6):
             k, part = 6 * rows.body[n] + a, rows.jacobian[n, a]
-            _add(sums[0, k], part * rows.before[n, 0] * rows.counts[n], per_unit)
-            _add(sums[1, k], part * scaled, per_unit)
+            add_in_quanta(sums[0], k, part * rows.before[n, 0] * rows.counts[n], per_unit)
+            add_in_quanta(sums[1], k, part * scaled, per_unit)
 
 
 @kernel

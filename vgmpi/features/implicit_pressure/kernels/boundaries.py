@@ -8,6 +8,7 @@ of the impulse D^T phi of a node, a collider takes its share, and a wall what it
 
 import numpy as np
 
+from vgmpi.kernels.colliders.sdf_sampling import set_node_indices
 from vgmpi.kernels.reaction_impulses import (
     add_contact_reaction,
     add_pressure_reaction,
@@ -18,11 +19,18 @@ from vgmpi.kernels.reaction_impulses import (
     set_wall,
 )
 from vgmpi.kernels.simd.vector16 import pointer, store
-from vgmpi.kernels.wall_boundary import RELEASING, SLIP, STICK, apply_coulomb_friction
+from vgmpi.kernels.wall_boundary import RELEASING, apply_coulomb_friction
 from vgmpi.runtime.jit import always_inline, kernel
 
 from ..pressure_system import MIN_NODE_FILL
-from .cell_stencils import differences_below, is_held
+from .cell_stencils import (
+    corner_node,
+    corner_sign,
+    differences_below,
+    holding_wall,
+    is_held,
+    node_index,
+)
 
 # [cells] distances from a collider at which approach is stopped wholly, and not at all
 STOP_DISTANCE, FREE_DISTANCE = 0.25, 1.05
@@ -44,17 +52,15 @@ def _push_across(b, q, axis, lattice, fields):
                 place += 4
                 block_row += weight
             cell += size * place
-        above = corner // (4 if axis == 0 else (2 if axis == 1 else 1)) % 2
         phi = fields.phi[64 * lattice.low[block_row] + cell]
-        total += -0.25 * phi if above else 0.25 * phi
+        total -= 0.25 * corner_sign(corner, axis) * phi
     return total
 
 
 @always_inline
 def _separating_side(b, q, axis, lattice, walls):
     """Return 1 or -1 at a node on a separating wall across an axis, the way into the domain."""
-    step = q // 16 if axis == 0 else (q // 4 % 4 if axis == 1 else q % 4)
-    node = 4 * lattice.block[b, axis] - 1 + step
+    node = node_index(b, q, axis, lattice)
     if node == 0 and walls.kinds[axis, 0] == RELEASING:
         return 1
     if node == walls.cells[axis] and walls.kinds[axis, 1] == RELEASING:
@@ -165,7 +171,7 @@ def stop_at_colliders(rows, lattice, walls, colliders, dx, fields, velocity, rea
         reaction: Reaction sums (in/out), or None.
     """
     low, filled, wet = pointer(lattice.low), pointer(fields.filled), pointer(fields.cover)
-    before, after, move, surface = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(4)
+    before, after, move, ijk = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3, np.int64)
     for b in rows:
         row = colliders.row[b]
         if row < 0:
@@ -195,12 +201,9 @@ def stop_at_colliders(rows, lattice, walls, colliders, dx, fields, velocity, rea
                     velocity[b, 4 * q + a] += velocity.dtype.type(change)
                 after[a] = velocity[b, 4 * q + a]
             if len(colliders.number) > 0:
-                i, j, k = q // 16, q // 4 % 4, q % 4
-                x, y, z = lattice.block[b]
-                set_node(reaction, q, 4 * x - 1 + i, 4 * y - 1 + j, 4 * z - 1 + k)
-                for c in range(4):
-                    surface[c] = colliders.nodes[row, q, c]
-                set_collider(reaction, colliders.number[row, q], surface)
+                set_node_indices(ijk, lattice.block[b], q)
+                set_node(reaction, q, ijk[0], ijk[1], ijk[2])
+                set_collider(reaction, colliders.number[row, q], colliders.nodes[row, q])
                 add_contact_reaction(reaction, before, after, velocity[b, 4 * q + 3], move, 0, 0)
 
 
@@ -221,24 +224,6 @@ def reserve_nodes(rows, colliders, fields, reserved):
             reserved[b, q] = fields.cover[64 * b + q] > 0 or not is_free
 
 
-@always_inline
-def _holding_wall(b, q, axis, lattice, walls):
-    """Return the number of the wall that holds a node along an axis, west to roof, or -1."""
-    stick = -1
-    for a in range(3):
-        step = q // 16 if a == 0 else (q // 4 % 4 if a == 1 else q % 4)
-        node = 4 * lattice.block[b, a] - 1 + step
-        for side in range(2):
-            if node != side * walls.cells[a]:
-                continue
-            kind = walls.kinds[a, side]
-            if a == axis and kind in (STICK, SLIP, RELEASING):
-                return 2 * a + side
-            if kind == STICK:
-                stick = 2 * a + side
-    return stick
-
-
 @kernel
 def record_pressure(rows, lattice, walls, colliders, potential, fields, level, reaction):
     """Record what colliders and walls take up of the impulses of the cells of some blocks.
@@ -254,41 +239,33 @@ def record_pressure(rows, lattice, walls, colliders, potential, fields, level, r
         reaction: Reaction sums (in/out).
     """
     push, move, ijk = np.zeros(3), np.zeros(3), np.zeros(3, np.int64)
-    surface, none = np.zeros(4), np.zeros(4)
+    none = np.zeros(4)
     for b in rows:
         for q in range(64):
             quarter = 0.25 * float(potential[64 * b + q])
             if quarter == 0.0:
                 continue
             for corner in range(8):
-                x, y, z = q // 16 + corner // 4, q // 4 % 4 + corner // 2 % 2, q % 4 + corner % 2
-                block = lattice.high[8 * b + 4 * (x // 4) + 2 * (y // 4) + z // 4]
+                block, node = corner_node(b, q, corner, lattice)
                 if block >= len(colliders.row):
                     continue
-                node = 16 * (x % 4) + 4 * (y % 4) + z % 4
-                for a in range(3):
-                    step = node // 16 if a == 0 else (node // 4 % 4 if a == 1 else node % 4)
-                    ijk[a] = 4 * lattice.block[block, a] - 1 + step
+                set_node_indices(ijk, lattice.block[block], node)
                 set_node(reaction, node, ijk[0], ijk[1], ijk[2])
                 share, row = fields.share[64 * block + node], colliders.row[block]
                 is_shared = row >= 0 and fields.free_part[64 * block + node] < 1 and share < 1
                 if is_shared and (len(colliders.body) == 0 or colliders.body[row, node] < 0):
                     for a in range(3):
-                        bit = corner // (4 if a == 0 else (2 if a == 1 else 1)) % 2
-                        push[a] = (1.0 - share) * (-quarter if bit else quarter)
+                        push[a] = -corner_sign(corner, a) * (1.0 - share) * quarter
                         move[a] = colliders.moves[row, node, a] if len(colliders.moves) > 0 else 0.0
-                    for c in range(4):
-                        surface[c] = colliders.nodes[row, node, c]
-                    set_collider(reaction, colliders.number[row, node], surface)
+                    set_collider(reaction, colliders.number[row, node], colliders.nodes[row, node])
                     add_pressure_reaction(reaction, colliders.number[row, node], push, move)
                 for a in range(3):
-                    wall = _holding_wall(block, node, a, lattice, walls)
+                    wall = holding_wall(block, node, a, lattice, walls)
                     if wall < 0 or level.inverse[192 * block + 64 * a + node] > 0:
                         continue
                     for c in range(3):
                         push[c] = move[c] = 0.0
-                    bit = corner // (4 if a == 0 else (2 if a == 1 else 1)) % 2
-                    push[a] = share * (-quarter if bit else quarter)
+                    push[a] = -corner_sign(corner, a) * share * quarter
                     set_wall(reaction, wall // 2, wall % 2, none)
                     add_pressure_reaction(reaction, reaction.first + wall, push, move)
 

@@ -130,13 +130,50 @@ def divergence(u, blocks, b, x):
 
 
 @always_inline
+def corner_node(b, q, corner, lattice):
+    """Return the block and the number in it of a node of a cell.
+
+    Args:
+        b, q: Block and number of the cell.
+        corner: Which of its nodes: bit 2 of it steps along x, bit 1 along y, bit 0 along z.
+        lattice: Blocks, Lattice.
+    """
+    x, y, z = q // 16 + corner // 4, q // 4 % 4 + corner // 2 % 2, q % 4 + corner % 2
+    block = lattice.high[8 * b + 4 * (x // 4) + 2 * (y // 4) + z // 4]
+    return block, 16 * (x % 4) + 4 * (y % 4) + z % 4
+
+
+@always_inline
+def corner_sign(corner, axis):
+    """Return 1 for a node at the upper side of its cell along an axis, else -1."""
+    return 1.0 if corner // (4 if axis == 0 else (2 if axis == 1 else 1)) % 2 else -1.0
+
+
+@always_inline
+def node_index(b, q, axis, lattice):
+    """Return the index in the domain of a node of a block along an axis."""
+    step = q // 16 if axis == 0 else (q // 4 % 4 if axis == 1 else q % 4)
+    return 4 * lattice.block[b, axis] - 1 + step
+
+
+@always_inline
+def holding_wall(b, q, axis, lattice, walls):
+    """Return the number of a wall that holds a node along an axis, west to roof, or -1."""
+    stick = -1
+    for a in range(3):
+        node = node_index(b, q, a, lattice)
+        if 0 < node < walls.cells[a]:
+            continue
+        side = 0 if node <= 0 else 1
+        kind = walls.kinds[a, side]
+        if a == axis and kind in (STICK, SLIP, RELEASING):
+            return 2 * a + side
+        if kind == STICK:
+            stick = 2 * a + side
+    return stick
+
+
+@always_inline
 def is_held(b, q, axis, lattice, walls):
     """Return whether a wall holds a node along an axis."""
-    for a in range(3):
-        step = q // 16 if a == 0 else (q // 4 % 4 if a == 1 else q % 4)
-        node = 4 * lattice.block[b, a] - 1 + step
-        if node <= 0 or node >= walls.cells[a]:
-            kind = walls.kinds[a, 0] if node <= 0 else walls.kinds[a, 1]
-            if kind == STICK or (kind in (SLIP, RELEASING) and a == axis):
-                return True
-    return False
+    return holding_wall(b, q, axis, lattice, walls) >= 0

@@ -64,12 +64,11 @@ def sum_responses(rows, children, finer, counted, sums):
         children: See CoarseBlocks.
         finer: LevelFields of the finer level, see `count_responses`.
         counted: 1 for cells of the finer level that this rank counts, else 0, flat.
-        sums: Whole numbers by coarse block, shape (m, 5, 64) (out).
+        sums: Whole numbers by coarse block, 0 before, shape (m, 5, 64) (in/out).
     """
     nodes, partial, column = np.empty((4, 9, 9, 9)), np.empty((4, 4, 9, 9)), np.empty((4, 4, 4, 9))
     cells = np.empty((9, 9, 9))
     for b in rows:
-        sums[b] = 0.0
         for x in range(9):  # from one before the block
             for y in range(9):
                 line = 64 * b + 16 * ((x + 3) // 4) + 4 * ((y + 3) // 4)
