@@ -151,14 +151,25 @@ def corner_sign(corner, axis):
 
 @always_inline
 def node_index(b, q, axis, lattice):
-    """Return the index in the domain of a node of a block along an axis."""
+    """Return the index in the domain of a node of a block along an axis.
+
+    Args:
+        b, q: Block, and number of the node in it.
+        axis: The axis.
+        lattice: Blocks, Lattice.
+    """
     step = q // 16 if axis == 0 else (q // 4 % 4 if axis == 1 else q % 4)
     return 4 * lattice.block[b, axis] - 1 + step
 
 
 @always_inline
 def holding_wall(b, q, axis, lattice, walls):
-    """Return the number of a wall that holds a node along an axis, west to roof, or -1."""
+    """Return the number of a wall that holds a node along an axis, west to roof, or -1.
+
+    Args:
+        b, q, axis, lattice: See `node_index`.
+        walls: Walls of the domain.
+    """
     stick = -1
     for a in range(3):
         node = node_index(b, q, a, lattice)
@@ -175,5 +186,9 @@ def holding_wall(b, q, axis, lattice, walls):
 
 @always_inline
 def is_held(b, q, axis, lattice, walls):
-    """Return whether a wall holds a node along an axis."""
+    """Return whether a wall holds a node along an axis.
+
+    Args:
+        b, q, axis, lattice, walls: See `holding_wall`.
+    """
     return holding_wall(b, q, axis, lattice, walls) >= 0
