@@ -3,11 +3,22 @@
 The parts between markers are generated; the rest of the page is written by hand and kept.
 """
 
+import re
 from collections import defaultdict
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-from tests.benchmarks.validation_rows import CONTROL, DEVIATION, OTHER, PASS, ROOT, TOPICS, Row
+from tests.benchmarks.validation_rows import (
+    COMPARISON,
+    CONTROL,
+    DEVIATION,
+    OTHER,
+    PASS,
+    PUBLISHED,
+    ROOT,
+    TOPICS,
+    Row,
+)
 from tests.benchmarks.validation_summary import SUMMARY, Effect
 
 PAGE, PICTURES = ROOT / "docs" / "benchmarks" / "validation.md", ROOT / "docs" / "pictures"
@@ -16,6 +27,8 @@ PARTS = ("summary", "topics")
 LARGEST = 60_000  # bytes of a picture
 FIGURES = 4  # shown for each topic
 COLUMNS = ("case", "result", "reference", "error (tolerance)", "outcome", "source")
+BESIDE = ("case", "published", "explicit pressure", "implicit pressure", "cells", "source")
+RUN = re.compile(r"(?P<case>.+), (?P<cells>\d+) cells.*, (?P<pressure>explicit|implicit) pressure")
 
 
 def number(value: float) -> str:
@@ -86,6 +99,7 @@ def counts(rows: list[Row]) -> str:
         PASS: ("passes", "pass"),
         DEVIATION: ("is a known deviation", "are known deviations"),
         CONTROL: ("is a negative control", "are negative controls"),
+        COMPARISON: ("is a comparison without a tolerance", "are comparisons without a tolerance"),
     }
     parts = []
     for name, many in sorted(total.items(), key=lambda item: -item[1]):
@@ -158,6 +172,35 @@ def lines(rows: list[Row]) -> list[list[str]]:
     ]
 
 
+def beside_lines(rows: list[Row]) -> list[list[str]]:
+    """Return a line for each published number: those of both pressures at all resolutions."""
+    groups = defaultdict(list)
+    for row in rows:
+        run = RUN.fullmatch(row.case)
+        if run is None:
+            raise ValueError(f"{row.case}: must end with the cells and the pressure")
+        groups[run["case"], row.source].append((int(run["cells"]), run["pressure"], row))
+    table = []
+    for (case, source), runs in groups.items():
+        cells = sorted({cells for cells, _, _ in runs})
+        value = {(cells, pressure): number(row.value) for cells, pressure, row in runs}
+        columns = [
+            ", ".join(value.get((n, pressure), "-") for n in cells)
+            for pressure in ("explicit", "implicit")
+        ]
+        first = runs[0][2]
+        published = _with_unit(number(first.reference), first.unit)
+        table.append([case, published, *columns, ", ".join(map(str, cells)), source])
+    return table
+
+
+def topic_table(topic: str, rows: list[Row]) -> list[str]:
+    """Return the table of a topic."""
+    if topic == PUBLISHED:
+        return _table(BESIDE, beside_lines(rows))
+    return _table(COLUMNS, lines(rows))
+
+
 def figures(rows: list[Row]) -> list[str]:
     """Return the figures of a topic: the first plot of each test."""
     first = {}
@@ -174,7 +217,7 @@ def topics(rows: list[Row]) -> str:
     for heading in (*TOPICS, OTHER):
         chosen = [row for row in rows if row.topic == heading]
         if chosen:
-            text += [f"## {heading}", "", *_table(COLUMNS, lines(chosen)), ""]
+            text += [f"## {heading}", "", *topic_table(heading, chosen), ""]
             text += [*figures(chosen), ""]
     return "\n".join(text).rstrip()
 

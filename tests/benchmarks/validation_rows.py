@@ -6,17 +6,19 @@ import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, fields
+from math import isinf
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 CSV = ROOT / "docs" / "benchmarks" / "data" / "validation.csv"
 PASS, DEVIATION, CONTROL = "pass", "known deviation", "negative control"
-FAIL, UNEXPECTED = "fail", "unexpected pass"
-OTHER = "Other"
+FAIL, UNEXPECTED, COMPARISON = "fail", "unexpected pass", "comparison"
+OTHER, PUBLISHED = "Other", "Liquids beside published data"
 # heading -> names of the test files, without "test_" and ".py"
 TOPICS = {
     "Liquids": "hydrostatic dam_break slosh vortices poiseuille volume torricelli piston "
     "spinning_cylinder",
+    PUBLISHED: "dam_break_gauges dam_break_obstacle",
     "Elastic solids": "bar cantilever torsion",
     "Granular materials": "sand_column",
     "Seepage and drag": "terzaghi infiltration drag heap",
@@ -58,8 +60,10 @@ def topic(test: str) -> str:
     return next((name for name, stems in TOPICS.items() if stem in stems.split()), OTHER)
 
 
-def outcome(good: bool, expected: bool, deviation: bool) -> str:
+def outcome(good: bool, expected: bool, deviation: bool, tolerance: float = 0.0) -> str:
     """Return the class of a row from what the test found and expected."""
+    if isinf(tolerance):
+        return COMPARISON
     if good:
         return PASS if expected else UNEXPECTED
     if deviation:
@@ -79,7 +83,7 @@ def _row(found: dict) -> Row:
     good, expected, deviation = found["good"], found["expected"], found["deviation"]
     return Row(
         topic=topic(found["test"]),
-        outcome=outcome(good, expected, deviation),
+        outcome=outcome(good, expected, deviation, found["tolerance"]),
         plot=f"{slug(found['case'])}.png" if found["curves"] else "",
         **shared,
     )

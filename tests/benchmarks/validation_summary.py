@@ -33,6 +33,13 @@ SUMMARY = (
         "Koshizuka and Oka 1996 (MPS simulation)",
     ),
     Effect(
+        "Pressure of impacts", "Liquids beside published data",
+        "dam break, gauges on the far wall, implicit pressure, 60 cells",
+        (("dam break, gauge*: off the computed curve, 60*implicit pressure",
+          "{value} rho g H (rms)"),),
+        "De Courcy et al. 2024 (incompressible SPH)",
+    ),
+    Effect(
         "Gravity waves", "Liquids", "standing wave in a tank",
         (
             ("sloshing: period, ?0 cells", "period off by {error}"),

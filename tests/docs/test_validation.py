@@ -142,6 +142,22 @@ def test_files_find_their_topic():
         assert table.topic(file) == heading
 
 
+def test_published_numbers_stand_beside_both_pressures(rows):
+    """A line for each number, with the values of all resolutions in the order of the cells."""
+    runs = [(40, "explicit", 3.0), (20, "explicit", 2.0), (20, "implicit", 1.0)]
+    chosen = [
+        replace(rows[0], case=f"front, {n} cells per width, {pressure} pressure", value=value)
+        for n, pressure, value in runs
+    ]
+    assert pages.beside_lines(chosen) == [["front", "1 m/s", "2, 3", "1, -", "20, 40", "Ren 2014"]]
+    with pytest.raises(ValueError, match="cells"):
+        pages.beside_lines(rows)
+
+
+def test_a_row_without_a_tolerance_is_a_comparison():
+    assert table.outcome(True, True, False, float("inf")) == table.COMPARISON
+
+
 def test_markers_must_be_there(rows):
     with pytest.raises(SystemExit, match="markers"):
         pages.page("# a page without them", table.read(table.CSV))
