@@ -4,16 +4,20 @@ Allowed errors are in units of the precision's eps times the norm of the tensor.
 """
 
 import re
+from fractions import Fraction
 
 import hypothesis
 import numpy as np
 import pytest
 from hypothesis import strategies
+from llvmlite import binding
 from numba import njit
 
 from tests.support.scalar_engines import ENGINES, on_lanes, run
+from vgmpi.materials.tensor_math import symmetric_eigen
 from vgmpi.materials.tensor_math.symmetric_eigen import eigen, from_principal
 from vgmpi.materials.tensor_math.tensor import left_cauchy_green_minus_one, rotation
+from vgmpi.runtime.jit import FP_CONTRACTION
 
 REALS = (np.float32, np.float64)
 VALUES, BACK, ORTHONORMAL = 10, 8, 8  # numpy's own eigenvalues in double are off by 6
@@ -206,3 +210,26 @@ def test_lanes_stay_vectors(real):
     assert body.count(f"fmul contract <16 x {kind}>") > 50
     assert not re.search(r"alloca [^\n]*<16 x|call [^\n]*@_ZN", body)
     assert not re.search(rf"f(mul|add|sub|div)( contract)? {kind}", body)
+
+
+def turned_and_angle(given):
+    """Second of two vectors, turned by the angle of the last numbers, and its cosine and sine."""
+    c, s, _ = symmetric_eigen._turn(given[6], given[7])
+    return (*symmetric_eigen._turned(given[:3], given[3:6], c, s)[1], c, s)
+
+
+@pytest.mark.skipif(
+    not (FP_CONTRACTION and binding.get_host_cpu_features().get("fma")),
+    reason="no instruction has a product and a sum",
+)
+@pytest.mark.parametrize("real", REALS)
+def test_which_product_of_a_turn_is_rounded(real):
+    """Of c w + s u it is s u, however the compiler comes by it: results of runs depend on it."""
+    given = np.random.default_rng(4).normal(size=(9, 160)).astype(real)
+    found = run("lanes", turned_and_angle, given)
+    c, s = found[3:]
+    for u, w, out in zip(given[:3], given[3:6], found, strict=False):
+        terms = zip(c.tolist(), w.tolist(), (s * u).tolist(), strict=True)
+        fused = [float(Fraction(x) * Fraction(y) + Fraction(z)) for x, y, z in terms]
+        assert (out == np.array(fused, real)).all()
+        assert (out != c * w + s * u).any()

@@ -4,11 +4,12 @@ numba gives every function what a call from Python needs: wrappers, an optimized
 code. Its callers link that module in and are optimized and translated again, so that the innermost
 functions of a kernel pass the compiler once per level. Here a function that compiled code calls is
 linked into its callers as it is, and only what Python calls is optimized and translated, with all
-that it calls. No rounding depends on it: nothing is compiled with fastmath.
+that it calls. Nothing is compiled with fastmath, but with contraction one product of a sum of two
+is not rounded. LLVM may swap the two, the one that is known earlier first, so that the rounding
+can depend on how much is optimized at once: see `_turned` of tensor_math/symmetric_eigen.py.
 
 What a kernel links in can also become its own (`KernelCompiler`): LLVM then inlines what is called
-once and leaves out unused arguments. With contraction of products and sums, the rounding would
-depend on it.
+once and leaves out unused arguments, which can change the rounding, too.
 
 `PRIVATE_PARTS` of tests/runtime/test_numba_parts.py lists what is used of numba that it does not
 document.

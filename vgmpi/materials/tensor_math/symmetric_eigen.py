@@ -125,10 +125,13 @@ def _turn(difference, across):
 
 
 def _turned(u, w, c, s):
-    """Return vectors u and w rotated in their plane."""
+    """Return vectors u and w rotated in their plane.
+
+    Where contraction lets one product of a sum escape its rounding, it is the first one: c w.
+    """
     return (
         (c * u[0] - s * w[0], c * u[1] - s * w[1], c * u[2] - s * w[2]),
-        (s * u[0] + c * w[0], s * u[1] + c * w[1], s * u[2] + c * w[2]),
+        (c * w[0] + s * u[0], c * w[1] + s * u[1], c * w[2] + s * u[2]),
     )
 
 
