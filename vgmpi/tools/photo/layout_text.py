@@ -19,7 +19,7 @@ def insert_guesses(text: str, guesses: list[tuple[tuple, Any, str]]) -> str:
     Raises:
         LayoutError: tomlkit is missing.
     """
-    tomlkit = _tomlkit()
+    tomlkit = import_tomlkit()
     document = tomlkit.parse(text)
     for path, value, reason in guesses:
         table: Any = document
@@ -45,7 +45,7 @@ def replace_objects(text: str, objects: list[tuple[int | None, dict[str, Any]]])
     Raises:
         LayoutError: tomlkit is missing.
     """
-    tomlkit = _tomlkit()
+    tomlkit = import_tomlkit()
     document = tomlkit.parse(text)
     if "object" not in document:
         document.append("object", tomlkit.aot())
@@ -71,7 +71,7 @@ def replace_objects(text: str, objects: list[tuple[int | None, dict[str, Any]]])
     return tomlkit.dumps(document)
 
 
-def _tomlkit() -> Any:
+def import_tomlkit() -> Any:
     """Return the package tomlkit; raise a LayoutError if it is missing."""
     try:
         import tomlkit

@@ -62,6 +62,7 @@ def photo_to_scene(
         out: Folder of the scene.
         overwrite: Whether to replace a scene that was changed.
     """
+    layout_text.import_tomlkit()  # what it is for comes last
     photo = photograph.read(photo_path)
     loaded = layout_config.read(layout_path)
     folder = Folder(out, overwrite)
