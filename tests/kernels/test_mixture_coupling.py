@@ -5,6 +5,7 @@ is called alone), drags from 1e-12 to 1e15, slip times from 0 to infinity: momen
 of velocities, numbering of phases, phases cut in two, shares of the pressure.
 """
 
+import functools
 from fractions import Fraction
 
 import numpy as np
@@ -45,6 +46,12 @@ def solve(n, phase, grid, forces, offsets, cells, least, room, rules, dt, dx, dr
 def eliminate(n, grid, room, rules):
     of, _ = to_pointers(room, rules)
     solve_drag_exchange(n, 0, load(of.M, 0) >= 0.0, pointer(grid), of)
+
+
+@functools.cache
+def workspace(n):
+    """As for blocks in a run, one for all."""
+    return mixture_workspace(n, np.dtype(float))
 
 
 class Node:
@@ -116,7 +123,7 @@ class Node:
         ):  # fmt: skip
             field[..., :3], field[..., 3] = three[:, None], one[:, None]
         flat = [field.reshape(-1) for field in (grid, forces, offsets)]
-        known = mixture_workspace(n, np.dtype(float)), mixture_tables(self.rules())
+        known = workspace(n), mixture_tables(self.rules())
         solve(n, np.arange(n), *flat, np.ones(3, np.int64), np.zeros(n), *known, self.dt, self.dx,
               drift.reshape(-1))  # fmt: skip
         assert np.isfinite(grid).all() and (grid[:, 1:] == grid[:, :1]).all()

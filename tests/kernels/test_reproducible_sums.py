@@ -4,8 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from vgmpi.kernels import reproducible_sums
 from vgmpi.kernels.kernel_arguments import NodeBlocks, Sums
@@ -15,6 +13,7 @@ from vgmpi.runtime.jit import kernel
 
 REALS = [np.dtype(np.float32), np.dtype(np.float64)]
 FULL = np.array([[0.25, 0.25, 0.25, 1.0], [2.0, 2.0, 2.0, 4.0]])  # of two phases
+CASES = 5000  # drawn at random
 PHASE = np.array([0] * 20 + [1] * 7)  # of the 27 node blocks around a block
 
 
@@ -119,28 +118,18 @@ def spread_over(rank_of, thread_of, order, patches, boxes, real):
 def test_any_order_and_any_split_gives_the_bits_of_one(real):
     """Segments in any order, over any ranks and threads."""
     met = np.zeros(5, int)
-
-    @given(
-        seed=st.integers(0, 2**32),
-        n=st.integers(1, 8),
-        ranks=st.integers(1, 4),
-        shuffle=st.randoms(use_true_random=False),
-    )
-    @settings(max_examples=5000, database=None, deadline=None)
-    def cases(seed, n, ranks, shuffle):
-        patches, boxes = drawn(seed, n, real)
+    for case in range(CASES):
+        random = np.random.default_rng([case, 1])
+        n, ranks = random.integers(1, 9), random.integers(1, 5)
+        patches, boxes = drawn(case, n, real)
         one = Rank(real)
         one.push(np.arange(n), patches, boxes)
         want, _ = one.values()
-        order = list(range(n))
-        shuffle.shuffle(order)
-        rank_of = np.array([shuffle.randrange(ranks) for _ in range(n)])
-        thread_of = np.array([shuffle.randrange(2) for _ in range(n)])
+        rank_of, thread_of = random.integers(0, ranks, n), random.integers(0, 2, n)
+        order = random.permutation(n)
         for got, beyond in spread_over(rank_of, thread_of, order, patches, boxes, real):
-            assert got.tobytes() == want.tobytes() and not beyond
-        met[int(rank_of.max())] += 1
-
-    cases()
+            assert got.tobytes() == want.tobytes() and not beyond, case
+        met[rank_of.max()] += 1
     assert (met[:4] > 100).all()
 
 
