@@ -92,6 +92,18 @@ def test_the_list_is_sorted():
     assert lines == sorted(NAMES)
 
 
+def test_files_that_take_minutes_begin_first():
+    """As the list names them; the others in the order of their names."""
+    code, tests, text = collected(ROOT, "--part", "rest", "tests/parallel", "tests/tools")
+    assert code == 0, text
+    files = list(dict.fromkeys(long_tests.names_of(test)[0] for test in tests))
+    first = [
+        name for name in long_tests.FIRST if name.startswith(("tests/tools", "tests/parallel"))
+    ]
+    assert files[: len(first)] == first and files[len(first) :] == sorted(files[len(first) :])
+    assert {long_tests.names_of(name)[0] for name in NAMES}.issuperset(long_tests.FIRST)
+
+
 def folders():
     files = (path.relative_to(ROOT) for path in (ROOT / "tests").glob("*/test_*.py"))
     return sorted({str(file.parent) for file in files} - {"tests/benchmarks"})

@@ -10,6 +10,15 @@ from pathlib import Path
 
 PATH = Path(__file__).parents[1] / "long_tests.txt"
 PARTS = ("quick", "rest")
+# Files of `make check` that take minutes begin first, so that all processes end at the same time.
+FIRST = (
+    "tests/cuda/test_card_bits.py",
+    "tests/cuda/test_card_compiles.py",
+    "tests/parallel/test_scene_bits.py",
+    "tests/tools/test_written_scenes.py",
+    "tests/campaigns/test_campaigns.py",
+    "tests/parallel/test_fit_ranks.py",
+)
 
 
 def read_names(path: Path = PATH) -> frozenset[str]:
@@ -32,6 +41,12 @@ def is_long(test: str, names: frozenset[str]) -> bool:
 def select_part(tests: Iterable[str], part: str, names: frozenset[str]) -> set[str]:
     """Return the tests of a part: `quick` are those that no name stands for, `rest` the others."""
     return {test for test in tests if is_long(test, names) == (part == "rest")}
+
+
+def begins(test: str) -> int:
+    """Return the place of a test's file among those that begin first."""
+    file = names_of(test)[0]
+    return FIRST.index(file) if file in FIRST else len(FIRST)
 
 
 def find_unknown_names(names: frozenset[str], tests: Iterable[str], root: Path) -> list[str]:
