@@ -15,9 +15,14 @@ from typing import NamedTuple
 
 import vgmpi
 from vgmpi.parallel.communicator import SerialCommunicator
-from vgmpi.planning.cost.run_estimate import predicted_seconds, step_count, step_seconds
+from vgmpi.planning.cost.run_estimate import (
+    expected_step,
+    predicted_seconds,
+    step_count,
+    step_seconds,
+)
 from vgmpi.planning.cost.throughput import Throughput
-from vgmpi.planning.plan import Plan, time_step_bounds
+from vgmpi.planning.plan import Plan
 from vgmpi.scene.scene import Scene
 from vgmpi.solver.compile_kernels import compile_kernels
 from vgmpi.solver.estimates.calibration import LAWS, measure_throughput
@@ -104,10 +109,7 @@ def told_by_run(scene: Scene, plan: Plan, pace: Throughput) -> tuple[float, floa
     """Return steps and time [s] without a pilot run; the geometric middle where a range is told."""
     seconds = predicted_seconds(scene, plan, 1, pace)
     few, many = (
-        step_count(
-            plan, plan.time_step.fixed or time_step_bounds(scene, plan, stiffened)[0][0], 0.0
-        )
-        for stiffened in (False, True)
+        step_count(plan, expected_step(scene, plan, stiffened), 0.0) for stiffened in (False, True)
     )
     middle = math.sqrt(few * many)
     each = step_seconds(scene, plan, 1, pace, None)

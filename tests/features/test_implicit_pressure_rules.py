@@ -50,7 +50,12 @@ shape = { box = [[0, 0, 0.1], [0.4, 0.2, 0.14]] }
 """
 BODIES = "bodies of particles that are held or moved, and colliders with friction"
 WALLS = "walls that open"
-SEVERAL = "several phases, densities or equations of state"
+PUBLISHED = """
+[[coupling]]
+kind = "mixing-versagauss"
+between = ["water", "oil"]
+diffusivity = 1e-3
+"""
 
 
 def refusal(tmp_path, text):
@@ -64,8 +69,7 @@ def refusal(tmp_path, text):
     [
         ("object.post.friction", BODIES, SCENE + POST + "friction = 0.3\n"),
         ("material.sand.kind", "materials that are no fluid", SCENE + SAND),
-        ("accuracy.pressure", SEVERAL, SCENE + OIL),
-        ("accuracy.pressure", SEVERAL, SCENE + OIL.replace("density = 900", "max_speed = 5")),
+        ("coupling.0.kind", "couplings of kind 'mixing-versagauss'", SCENE + OIL + PUBLISHED),
         (
             "material.water.tension",
             "liquids without tension",

@@ -131,6 +131,87 @@ at = [0.295, 0.08, 0.15]
 """
 
 
+# a pool of oil and brine in one velocity field, water that mixes with dye, and a falling drop of
+# oil of its own: nodes have one to four liquids, and ranks different ones
+LIQUIDS = """
+[domain]
+size = [0.48, 0.16, 0.40]
+cell = 0.02
+boundary = { default = "slip", bottom = "separate", west = "stick" }
+[time]
+end = 0.12
+frames = 3
+[accuracy]
+pressure = "implicit"
+[material.oil]
+kind = "fluid"
+density = 800
+max_speed = 1
+[material.brine]
+kind = "fluid"
+density = 1200
+max_speed = 2
+[material.water]
+kind = "fluid"
+max_speed = 2
+viscosity = 0.01
+[material.dye]
+kind = "fluid"
+density = 1100
+max_speed = 2
+[[coupling]]
+kind = "mixing"
+between = ["water", "dye"]
+diffusivity = 1e-3
+slip_relaxation_time = "10 ms"
+[[object]]
+name = "oil"
+material = "oil"
+shape = { box = [[0, 0, 0.08], [0.24, 0.16, 0.16]] }
+[[object]]
+name = "brine"
+material = "brine"
+shape = { box = [[0, 0, 0], [0.24, 0.16, 0.08]] }
+[[object]]
+name = "water"
+material = "water"
+shape = { box = [[0.24, 0, 0], [0.48, 0.16, 0.1]] }
+[[object]]
+name = "dye"
+material = "dye"
+shape = { box = [[0.3, 0, 0.1], [0.48, 0.16, 0.2]] }
+[[object]]
+name = "drop"
+material = "oil"
+phase = "drop"
+velocity = [0, 0, -1]
+shape = { sphere = { center = [0.24, 0.08, 0.24], radius = 0.04 } }
+[[object]]
+name = "post"
+role = "scenery"
+collider = true
+shape = { cylinder = { endpoints = [[0.4, 0.1, -0.1], [0.4, 0.1, 0.5]], radius = 0.03 } }
+[[probe]]
+name = "floor"
+wall = "bottom"
+sampling_rate = "100 Hz"
+"""
+
+
+@pytest.fixture(scope="module")
+def liquids(tmp_path_factory):
+    return run_on_one_rank(tmp_path_factory.mktemp("liquids"), LIQUIDS)
+
+
+@RANKS_AND_THREADS
+def test_several_liquids_on_any_ranks_and_threads(liquids, tmp_path, start, ranks, flags):
+    assert_same_files(*liquids, tmp_path / "out", start, ranks, *flags)
+
+
+def test_several_liquids_after_a_restart(liquids, tmp_path):
+    assert_same_after_stop(*liquids, tmp_path / "out", 9)
+
+
 @pytest.fixture(scope="module")
 def bodies(tmp_path_factory):
     return run_on_one_rank(tmp_path_factory.mktemp("bodies"), BODIES)

@@ -47,6 +47,13 @@ class Adhesion(NamedTuple):
     viscosities: tuple[float, ...]  # (phases,) [Pa s] dynamic viscosity
 
 
+class SlipRelaxation(NamedTuple):
+    """Relaxation of the relative motion of phases that share space."""
+
+    sets: np.ndarray  # (phases,) number of the mixture, or -1
+    times: np.ndarray  # (phases,) [s] relaxation time of the velocity relative to the mixture's
+
+
 class FeaturePlan:
     """Feature of a run, one of `Plan.features`. Every answer has a default: nothing is needed.
 
@@ -89,6 +96,7 @@ class FeaturePlan:
         pair_rules: Interaction of each two phases, (phases, phases), CONTACT or another number of
             materials/couplings/interaction.py; None if all are in contact.
         pair_channels: Channels that its interactions need, by their names in reports; "": none.
+        slip_relaxation: Relaxation of relative motion that it applies, or None.
         phase_sets: Phases of one number share one velocity, -1: each its own, (phases,), or None.
         min_rate: Lower bound of 1 / dt [1/s].
         step_bounds: Bounds of the time step [s] and their causes.
@@ -119,6 +127,7 @@ class FeaturePlan:
     pair_rules: np.ndarray | None = None
     pair_channels: Mapping[str, str] = {}
     phase_sets: np.ndarray | None = None
+    slip_relaxation: SlipRelaxation | None = None
     min_rate = 0.0
     step_bounds: Sequence[tuple[float, str]] = ()
 

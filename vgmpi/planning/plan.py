@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from vgmpi.materials.couplings.contact_rule import Contact
+from vgmpi.materials.couplings.interaction import CONTACT
 from vgmpi.materials.material import law_function
 from vgmpi.scene.gravity import Keys, gravity_at, gravity_keys, mean_gravity
 from vgmpi.scene.keyframes import mean_ramp_factor
@@ -171,8 +172,13 @@ class Plan:
     @property
     def pair_rules(self) -> np.ndarray | None:
         """Interaction of each two phases, None if all are in contact; see `FeaturePlan`."""
-        rules = (feature.pair_rules for feature in self.features)
-        return next((pairs for pairs in rules if pairs is not None), None)
+        rules = [each.pair_rules for each in self.features if each.pair_rules is not None]
+        if not rules:
+            return None
+        combined = rules[0]
+        for pairs in rules[1:]:
+            combined = np.where(combined == CONTACT, pairs, combined)
+        return combined
 
     @property
     def separates_stress(self) -> bool:
@@ -409,7 +415,8 @@ def time_step_bounds(scene: Scene, plan: Plan, stiffened: bool = False) -> list[
             wave = math.sqrt(group.bound(law_function(law, "wave_speed2")(law, reference)))
             wave *= math.sqrt(material.stiffening) if stiffened else 1.0
             if wave + speeds[k] > 0:  # waves do not bound the step with an implicit pressure
-                bounds.append((plan.time_step.cfl * dx / (wave + speeds[k]), f"material {name!r}"))
+                kind = "the motion of" if group.volume.separate_pressure else "material"
+                bounds.append((plan.time_step.cfl * dx / (wave + speeds[k]), f"{kind} {name!r}"))
             if material.kinematic_viscosity > 0 and not group.separate_viscosity:
                 bound = dx**2 / (6.0 * material.kinematic_viscosity)
                 bounds.append((bound, f"the viscosity of material {name!r}"))

@@ -18,10 +18,11 @@ from vgmpi.parallel.exchange_topology import ExchangeTopology, counting_owner
 from . import pressure_system
 from .body_response import BodyResponse
 from .kernels import boundaries
-from .plan import DISPLACEMENT
+from .liquid_rows import LiquidRows, Liquids, set_parts
+from .plan import DISPLACEMENT, largest_coefficient, liquid_groups
 from .pressure_solver import PressureSolver
 from .pressure_system import INWARD_STEPS, ColliderNodes, pressure_fields
-from .pressure_transfer import PARTICLE_PRESSURE
+from .pressure_transfer import VOLUMES
 
 
 class ImplicitPressure(ActiveFeature):
@@ -30,13 +31,14 @@ class ImplicitPressure(ActiveFeature):
     couples_nodes = True
 
     def __init__(self, context: StartContext, solver: PressureSolver):
-        """Take the constants of a plan, which has one liquid of one density, and its solver."""
+        """Take the constants of a plan and its solver."""
         plan = self.plan = context.plan
         self.lattice, self.ranks, self.threads = context.lattice, context.ranks, context.threads
-        group = next(group for group in plan.groups if group.volume.separate_pressure)
-        self.mass_of_cell = group.density * plan.dx**3
+        self.liquids, own = Liquids(plan), liquid_groups(plan)
+        density = max(group.density for group in own)
+        self.mass_of_cell = density * plan.dx**3
         # relative pressure of a particle per potential of a cell and inverse time step
-        self.stiffness = float(group.law.k) / (group.density * plan.dx**2)  # type: ignore[attr-defined]
+        self.stiffness = largest_coefficient(own) / (density * plan.dx**2)
         self.solver, self.colliders = solver, context.collider_nodes
         self.features = context.features
         kinds = np.array([kind for kind, _ in plan.walls.liquids]).reshape(3, 2)
@@ -63,10 +65,11 @@ class ImplicitPressure(ActiveFeature):
         self.blocks = len(tables.coordinates)
         self.fields = pressure_fields(self.blocks, real)
         self.fields.region[: 64 * self.blocks] = cells.region.reshape(-1)
+        self.liquids.set_topology(tables)
         self.near_colliders = np.flatnonzero(tables.solid >= 0)
         if self.colliders is not None:  # they act on the liquid by the pressure
             self.reserved_nodes = np.ones((len(tables.phase), 64), np.uint8)
-        _, closed = self.solver.domain
+        closed = self.solver.domain.closed
         is_beyond = ((index < 0) & closed[:, 0]) | ((index >= self.plan.cells) & closed[:, 1])
         self.outside = is_beyond.any(2).astype(real).reshape(-1)
         separates, last = self.separating_walls, np.array(self.plan.cells)
@@ -90,25 +93,77 @@ class ImplicitPressure(ActiveFeature):
             gravity: Acceleration, shape (3,) [m/s2].
         """
         fields, plan, dt, solver = self.fields, self.plan, span.dt, self.solver
+        level, lattice, velocity, walls = (
+            solver.level,
+            solver.lattice,
+            nodes.velocities,
+            nodes.walls,
+        )
+        bodies = self._pushed_bodies()
+        colliders, liquids = (
+            self._colliders_at(nodes, bodies),
+            self.liquids.rows_in(nodes.fields[VOLUMES].nodes, dt),
+        )
+        cells, wet = self._set_system(nodes, colliders, liquids, dt)
+        if bodies is not None:
+            solver.bodies = self._begin_response(nodes, colliders, bodies, dt, gravity)
+        solver.solve(fields.phi)
+        solver.respond(fields.phi)
+        if bodies is not None and solver.bodies is not None:
+            bodies.add_impulses(solver.bodies.find_impulses(fields.phi))
+            solver.bodies = None  # they stand while positions are corrected
+        solver.each(wet, pressure_system.add_velocities, liquids, fields, level, velocity)
+        reaction = nodes.reactions[0]
+        if reaction is not None:
+            own = self.mass_of_cell * plan.dx * fields.phi.astype(float) * solver.counted
+            nodes.call(
+                boundaries.record_pressure, self.at_boundaries, lattice, walls, colliders, own,
+                fields, level, reaction,
+            )  # fmt: skip
+        nodes.call(
+            boundaries.hold_at_separating_walls, self.separating, lattice, walls, liquids,
+            fields, level, velocity, reaction,
+        )  # fmt: skip
+        scale = plan.real.type(1.0 / (dt * self.stiffness))
+        solver.each(wet, pressure_system.store_node_pressure, lattice, scale, fields)
+        if len(self.near_colliders):
+            nodes.call(
+                boundaries.stop_at_colliders, self.near_colliders, lattice, walls, liquids,
+                colliders, fields, velocity, reaction,
+            )  # fmt: skip
+            if bodies is not None:
+                nodes.call(
+                    boundaries.reserve_nodes, self.near_colliders, liquids, colliders, fields,
+                    self.reserved_nodes,
+                )  # fmt: skip
+        self._find_displacements(nodes, liquids, cells, wet)
+
+    def _set_system(
+        self, nodes: NodeState, colliders: ColliderNodes, liquids: LiquidRows, dt: float
+    ) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Set the system of the pressure in a step of dt [s]. Collective.
+
+        Returns:
+            Blocks that have cells with pressure, and those next to them, by thread.
+        """
+        fields, plan, solver, blocks = self.fields, self.plan, self.solver, nodes.block_rows
         level, lattice, exchange = solver.level, solver.lattice, solver.exchange
         assert exchange is not None
-        velocity, pressure = nodes.velocities, nodes.fields[PARTICLE_PRESSURE].nodes
-        bodies = self._pushed_bodies()
-        walls, real, blocks = nodes.walls, plan.real.type, nodes.block_rows
-        colliders = self._colliders_at(nodes, bodies)
         solver.take_rows(nodes.each, nodes.call, blocks, blocks)
+        if len(liquids.parts):
+            solver.each(blocks, set_parts, liquids, nodes.velocities)
         solver.each(
-            blocks, pressure_system.set_nodes, lattice, walls, velocity, pressure, colliders,
-            self.mass_of_cell, plan.dx, fields, level,
+            blocks, pressure_system.set_nodes, lattice, nodes.walls, liquids, nodes.velocities,
+            colliders, fields, level,
         )  # fmt: skip
-        guess_scale = real(dt * self.stiffness)
+        guess_scale = plan.real.type(dt * self.stiffness)
         solver.each(blocks, pressure_system.set_cells, lattice, guess_scale, fields, level)
         exchange.exchange(fields.filled)
         if self.separating_walls.any():
             exchange.exchange(fields.phi)
             nodes.call(
-                boundaries.release_nodes, self.separating, lattice, walls, velocity,
-                self.mass_of_cell, plan.dx, fields, level,
+                boundaries.release_nodes, self.separating, lattice, nodes.walls, liquids,
+                nodes.velocities, fields, level,
             )  # fmt: skip
             nodes.call(
                 pressure_system.set_cells, self.beside_separating, lattice, guess_scale, fields,
@@ -119,45 +174,27 @@ class ImplicitPressure(ActiveFeature):
         cells, wet = self._find_wet_blocks()
         exchange.exchange(fields.phi)
         solver.take_rows(nodes.each, nodes.call, cells, wet)
-        if bodies is not None:
-            solver.bodies = self._begin_response(nodes, colliders, bodies, dt, gravity)
-        solver.solve(fields.phi)
-        solver.respond(fields.phi)
-        if bodies is not None and solver.bodies is not None:
-            bodies.add_impulses(solver.bodies.find_impulses(fields.phi))
-            solver.bodies = None  # they stand while positions are corrected
-        solver.each(wet, pressure_system.add_velocities, plan.dx, fields, level, velocity)
-        reaction = nodes.reactions[0]
-        if reaction is not None:
-            own = self.mass_of_cell * plan.dx * fields.phi.astype(float) * solver.counted
-            nodes.call(
-                boundaries.record_pressure, self.at_boundaries, lattice, walls, colliders, own,
-                fields, level, reaction,
-            )  # fmt: skip
-        nodes.call(
-            boundaries.hold_at_separating_walls, self.separating, lattice, walls,
-            self.mass_of_cell * plan.dx, fields, level, velocity, reaction,
-        )  # fmt: skip
-        scale = real(1.0 / (dt * self.stiffness))
-        solver.each(wet, pressure_system.store_node_pressure, lattice, scale, fields)
-        if len(self.near_colliders):
-            nodes.call(
-                boundaries.stop_at_colliders, self.near_colliders, lattice, walls,
-                colliders, plan.dx, fields, velocity, reaction,
-            )  # fmt: skip
-            if bodies is not None:
-                nodes.call(
-                    boundaries.reserve_nodes, self.near_colliders, colliders, fields,
-                    self.reserved_nodes,
-                )  # fmt: skip
-        count = 64 * self.blocks
+        return cells, wet
+
+    def _find_displacements(
+        self, nodes: NodeState, liquids: LiquidRows, cells: list[np.ndarray], wet: list[np.ndarray]
+    ) -> None:
+        """Find the displacements that spread what crowds. Collective.
+
+        Args:
+            nodes, liquids: Nodes of the rank, and the liquids at them.
+            cells, wet: See `_set_system`.
+        """
+        fields, solver, count = self.fields, self.solver, 64 * self.blocks
         fields.cover[:count] = fields.filled[:count] + self.outside + fields.covered[:count]
-        solver.each(cells, pressure_system.set_excess, lattice, fields, level)
+        solver.each(cells, pressure_system.set_excess, solver.lattice, fields, solver.level)
         solver.find_moves()
         moves = nodes.gathered[DISPLACEMENT]
         moves[:] = 0
-        solver.each(wet, pressure_system.store_moves, fields, level, moves)
-        nodes.call(boundaries.stop_moves, self.separating, lattice, walls, moves)
+        solver.each(wet, pressure_system.store_moves, liquids, fields, solver.level, moves)
+        nodes.call(
+            boundaries.stop_moves, self.separating, solver.lattice, nodes.walls, liquids, moves
+        )
 
     def _pushed_bodies(self) -> PushedBodies | None:
         """Return the free bodies of the run, or None without any."""

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from vgmpi.kernels.reproducible_sums import next_power_of_two
+from vgmpi.materials.couplings.interaction import CONTACT, MIXING, PRESSURE
 from vgmpi.planning.feature_plan import FeaturePlan, PlanDraft
 from vgmpi.planning.phases_and_groups import GroupPlan, PhasePlan, VolumeTerms, WaveTerms
 from vgmpi.planning.plan import Plan, time_step_bounds
@@ -21,10 +23,21 @@ MIN_VISCOUS_RATIO = 4.0  # of the viscous bound of the step to that by waves, fo
 
 
 class ImplicitPressurePlan(FeaturePlan):
-    """Implicit pressure of a run."""
+    """Implicit pressure of a run.
+
+    Attributes:
+        coefficient: Largest Tait coefficient of the liquids [Pa]: the unit of nodal pressures.
+    """
 
     name, title = "implicit_pressure", "implicit pressure"
     gathered = (DISPLACEMENT,)
+
+    def __init__(self, groups: Sequence[GroupPlan], phases: int):
+        """Take the groups whose pressure the grid finds, and the number of phases."""
+        self.coefficient = largest_coefficient(groups)
+        if phases > 1:
+            is_liquid = np.isin(np.arange(phases), [group.phase for group in groups])
+            self.pair_rules = np.where(is_liquid[:, None] & is_liquid, PRESSURE, CONTACT)
 
     def particle_cost(self, group: GroupPlan, costs: StepCosts) -> StageCost | None:
         """Return what it costs per particle of a liquid.
@@ -36,9 +49,9 @@ class ImplicitPressurePlan(FeaturePlan):
 
     def field_requests(self, plan: Plan) -> tuple:
         """Return the request for the pressure of the particles at the nodes."""
-        from .pressure_transfer import request_particle_pressure  # it compiles
+        from .pressure_transfer import request_liquid_volumes  # it compiles
 
-        return (request_particle_pressure(plan),)
+        return (request_liquid_volumes(plan, self.coefficient),)
 
     def gathers(self, group: GroupPlan) -> tuple[str, ...]:
         """Return what the particles of a group gather: its displacement and pressure."""
@@ -52,8 +65,10 @@ class ImplicitPressurePlan(FeaturePlan):
         """
         from .pressure_transfer import ImplicitPressureGather
 
-        exponent = group.law.gamma  # type: ignore[attr-defined]
-        return ImplicitPressureGather(nodes[DISPLACEMENT], exponent)
+        law: Any = group.law
+        real = type(law.k)
+        scale = real(self.coefficient / law.k)
+        return ImplicitPressureGather(nodes[DISPLACEMENT], patch, law.gamma, scale)
 
     def start(self, context: Any) -> Any:
         """Return the implicit pressure as it acts in a run.
@@ -62,12 +77,16 @@ class ImplicitPressurePlan(FeaturePlan):
             context: See `FeaturePlan.start`.
         """
         from .coupling import ImplicitPressure  # they compile
-        from .pressure_solver import PressureSolver
+        from .pressure_solver import PressureSolver, SystemDomain
 
         plan = context.plan
         is_closed = [kind != "open" for kind, _ in plan.walls.liquids]
         closed = np.array(is_closed).reshape(3, 2)
-        solver = PressureSolver(context.ranks, plan.cells, closed, plan.real)
+        densities = [group.density for group in liquid_groups(plan)]
+        contrast = float(next_power_of_two(max(densities) / min(densities)))
+        solver = PressureSolver(
+            context.ranks, SystemDomain(plan.cells, closed, contrast), plan.real
+        )
         return ImplicitPressure(context, solver)
 
 
@@ -92,7 +111,18 @@ def plan_implicit_pressure(draft: PlanDraft) -> tuple[ImplicitPressurePlan, Plan
         )
         for group in draft.groups
     )
-    return ImplicitPressurePlan(), draft._replace(groups=groups)
+    plan = ImplicitPressurePlan(groups, len(draft.phases))
+    return plan, draft._replace(groups=groups)
+
+
+def liquid_groups(plan: Plan) -> list[GroupPlan]:
+    """Return the groups of a plan whose pressure the grid finds."""
+    return [group for group in plan.groups if group.volume.separate_pressure]
+
+
+def largest_coefficient(groups: Sequence[GroupPlan]) -> float:
+    """Return the largest Tait coefficient of groups of liquids [Pa]."""
+    return max(float(group.law.k) for group in groups)  # type: ignore[attr-defined]
 
 
 def recommend_implicit_pressure(scene: Scene, plan: Plan) -> list[str]:
@@ -137,12 +167,9 @@ def obstacles(
             _refuse(("material", name, "kind"), "materials that are no fluid")
         elif material.tension == "off":
             _refuse(("material", name, "tension"), "liquids without tension")
-    stiffnesses = {
-        (group.density, getattr(group.law, "k", 0.0), getattr(group.law, "gamma", 0.0))
-        for group in groups
-    }
-    if len(phases) > 1 or len(stiffnesses) > 1:
-        _refuse(("accuracy", "pressure"), "several phases, densities or equations of state")
+    for k, coupling in enumerate(scene.coupling):
+        if coupling.rule == MIXING and coupling.printed:
+            _refuse(("coupling", k, "kind"), f"couplings of kind {coupling.kind!r}")
     for k, obj in enumerate(scene.object):
         values = {
             "motion": obj.motion and not obj.collider,

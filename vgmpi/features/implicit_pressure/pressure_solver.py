@@ -12,6 +12,7 @@ References:
 
 import math
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,14 +37,25 @@ PRODUCT_BITS, SECOND_BITS = 20, 40  # of a product, in units, and of what roundi
 SHARED_BLOCKS = 800
 
 
+class SystemDomain(NamedTuple):
+    """Domain of a system, and what its liquids are like."""
+
+    cells: tuple[int, int, int]
+    closed: np.ndarray  # (3, 2) bool, whether walls hold their nodes across
+    contrast: float  # largest density of a liquid over the smallest, at most: a power of two
+
+
 class CoarseLevels:
     """Coarse levels of a multigrid cycle, which all ranks hold and compute alike."""
 
     def __init__(
-        self, blocks: CoarseBlocks, closed: np.ndarray, ranks: SerialCommunicator, real: np.dtype
-    ):
-        """Take the blocks, whether walls are closed, the communicator, and the type of numbers."""
-        self.blocks, self.closed, self.ranks, self.real = blocks, closed, ranks, real
+        self, blocks: CoarseBlocks, domain: SystemDomain, ranks: SerialCommunicator,
+        real: np.dtype,
+    ):  # fmt: skip
+        """Take the blocks, the domain, the communicator, and the type of numbers."""
+        self.blocks, self.closed, self.ranks, self.real = blocks, domain.closed, ranks, real
+        self.quanta = real.type(multigrid.RESPONSE_QUANTA / domain.contrast)
+        self.max_response = real.type(multigrid.MAX_RESPONSE * domain.contrast)
         count = len(blocks.parent)
         self.level = level_fields(count, real)
         self.sums, self.response_sums = np.zeros((count, 64)), np.zeros((count, 5, 64))
@@ -63,7 +75,7 @@ class CoarseLevels:
             counted: 1 for cells, and for nodes, that this rank counts, else 0, flat.
         """
         blocks, level, sums, cells, nodes = self.blocks, self.level, self.response_sums, [], []
-        finer, limit = finest, self.real.type(multigrid.MAX_RESPONSE)
+        finer, limit, quanta = finest, self.max_response, self.quanta
         finer_rows = np.arange(len(finest.scale) // 64 - 1)
         is_wet = np.any(finest.scale.reshape(-1, 64) > 0, 1)  # the last row is that of no block
         has_cells, block = np.zeros(len(blocks.parent) + 1, bool), blocks.lattice.block
@@ -75,12 +87,12 @@ class CoarseLevels:
                 is_near = self.ranks.max(is_near.astype(np.int8)) > 0
             near_rows = rows[is_near]
             sums[rows] = 0.0
-            call(multigrid.count_responses, finer_rows, counted[1], limit, finer)
+            call(multigrid.count_responses, finer_rows, counted[1], limit, quanta, finer)
             call(multigrid.sum_responses, near_rows, blocks.children, finer, counted[0], sums)
             if number == 0 and self.ranks.size > 1:
                 sums[rows] = self.ranks.sum(sums[rows].astype(np.int64))
             size = blocks.sizes[number + 1]
-            call(multigrid.set_responses, rows, block, size, self.closed, sums, level)
+            call(multigrid.set_responses, rows, block, size, self.closed, quanta, sums, level)
             call(multigrid.set_diagonal, rows, blocks.lattice, level)
             own = level.scale[64 * first : 64 * last].reshape(-1, 64)
             has_cells[rows] = np.any(own > 0, 1)
@@ -133,19 +145,9 @@ class PressureSolver:
         bodies: Free bodies that answer to the pressure, or None.
     """
 
-    def __init__(
-        self, ranks: SerialCommunicator, cells: tuple[int, int, int], closed: np.ndarray,
-        real: np.dtype,
-    ):  # fmt: skip
-        """Take the domain.
-
-        Args:
-            ranks: Communicator.
-            cells: Cells of the domain.
-            closed: Whether its walls hold their nodes across, shape (3, 2).
-            real: Type of the numbers.
-        """
-        self.ranks, self.domain, self.real = ranks, (cells, closed), real
+    def __init__(self, ranks: SerialCommunicator, domain: SystemDomain, real: np.dtype):
+        """Take the communicator, the domain, and the type of the numbers."""
+        self.ranks, self.domain, self.real = ranks, domain, real
         self.exchange: CellExchange | None = None
         self.coarse: CoarseLevels | None = None
         self.bodies: BodyResponse | None = None
@@ -293,9 +295,8 @@ class PressureSolver:
         own = [float(np.abs(residual).max(initial=0)), float(self.coarse is None)]
         magnitude, is_new = self.ranks.max(np.array(own))
         if is_new:
-            cells, closed = self.domain
-            blocks = find_coarse_blocks(self.lattice.block, cells, self.ranks)
-            self.coarse = CoarseLevels(blocks, closed, self.ranks, self.real)
+            blocks = find_coarse_blocks(self.lattice.block, self.domain.cells, self.ranks)
+            self.coarse = CoarseLevels(blocks, self.domain, self.ranks, self.real)
         assert self.coarse is not None
         self.coarse.set_systems(self._call_kernel, self.level, (self.counted, self.counted_nodes))
         if not 0 < magnitude < math.inf:

@@ -6,6 +6,8 @@ a node that the liquid has, where colliders of the velocity V have the rest,
 
     D theta^2 M^-1 D^T phi = -D (theta v + (1 - theta) V),        v = v + theta M^-1 D^T phi
 
+With several liquids, v is their mean by volume, and M^-1 their response (liquid_rows.py).
+
 (docs/explanation/implicit-pressure.md).
 """
 
@@ -33,6 +35,7 @@ from .kernels.cell_stencils import (
     mean_of_axes,
     mean_of_nodes,
 )
+from .liquid_rows import filled_part, mean_velocity, part_of_row, response_of_liquids
 
 SURFACE_FILL = 0.5  # [-] cells that are filled less have no pressure: they are the surface
 MIN_NODE_FILL = 1e-9  # [-] lighter nodes do not respond
@@ -52,7 +55,7 @@ class PressureFields(NamedTuple):
     """Numbers of the cells and nodes of a rank, flat, in the working precision; 64 of a block."""
 
     region: np.ndarray  # 1 for the cells that this rank computes, else 0
-    mass: np.ndarray  # of nodes; those on walls stand for both sides
+    fill: np.ndarray  # volume of the liquids at nodes; those on walls stand for both sides
     guess: np.ndarray  # pressure times filled share at the nodes, from particles
     filled: np.ndarray  # filled part of what colliders leave of cells with pressure, else 0
     cover: np.ndarray  # above 0 in cells with liquid and beyond walls
@@ -80,31 +83,34 @@ def pressure_fields(blocks: int, real: np.dtype) -> PressureFields:
 
 
 @kernel
-def set_nodes(rows, lattice, walls, velocity, pressure, colliders, unit, dx, fields, level):
+def set_nodes(rows, lattice, walls, liquids, velocity, colliders, fields, level):
     """Read the nodes of some blocks.
 
     Args:
         rows: Blocks to process, shape (n,).
         lattice: Blocks, Lattice.
         walls: Walls of the domain.
-        velocity: Velocity [m/s] and mass [kg] of the nodes, shape (blocks, 256).
-        pressure: Rest volume times relative pressure of the particles at the nodes [m3] as fourth
-            number, shape (blocks, 256).
+        liquids: LiquidRows.
+        velocity: Velocity [m/s] and mass [kg] of the nodes, shape (rows, 256).
         colliders: ColliderNodes.
-        unit: Mass of a full cell [kg].
-        dx: Cell size [m].
         fields: PressureFields (out).
         level: LevelFields (out).
     """
-    real = fields.mass.dtype.type
-    per_cell, zero, unity = real(1.0 / unit), real(0.0), real(1.0)
-    per_length, per_volume = real(1.0 / dx), real(1.0 / dx**3)
+    real = fields.fill.dtype.type
+    zero, unity = real(0.0), real(1.0)
+    dx, per_volume = liquids.dx, liquids.per_volume
+    per_length = real(1.0 / dx)
     for b in rows:
         for q in range(64):
-            mass, images, inside = velocity[b, 4 * q + 3] * per_cell, unity, True
+            fill, images, inside = filled_part(b, q, liquids, velocity), unity, True
+            inverse = zero
             for a in range(3):
-                level.u[192 * b + 64 * a + q] = velocity[b, 4 * q + a] * per_length
-            inverse = unity / mass if mass > MIN_NODE_FILL else zero
+                level.u[192 * b + 64 * a + q] = zero
+            if fill > MIN_NODE_FILL:
+                inverse = response_of_liquids(b, q, fill, liquids, velocity)
+                for a in range(3):
+                    mean = mean_velocity(b, q, a, fill, liquids, velocity)
+                    level.u[192 * b + 64 * a + q] = mean * per_length
             for a in range(3):
                 level.inverse[192 * b + 64 * a + q] = inverse
             for a in range(3):
@@ -122,8 +128,11 @@ def set_nodes(rows, lattice, walls, velocity, pressure, colliders, unit, dx, fie
             if not inside:
                 for a in range(3):
                     level.inverse[192 * b + 64 * a + q] = zero
-            fields.mass[64 * b + q] = images * mass if inside else zero
-            guess = images * pressure[b, 4 * q + 3] * per_volume
+            fields.fill[64 * b + q] = images * fill if inside else zero
+            guess = zero
+            for r in range(liquids.first[b], liquids.first[b + 1]):
+                guess += liquids.sums[r, 4 * q + 3]
+            guess = images * guess * per_volume
             fields.guess[64 * b + q] = guess if inside else zero
             fields.free_part[64 * b + q] = fields.share[64 * b + q] = unity
             fields.empty[64 * b + q] = zero
@@ -134,13 +143,13 @@ def set_nodes(rows, lattice, walls, velocity, pressure, colliders, unit, dx, fie
 @always_inline
 def _share_nodes(b, lattice, walls, colliders, dx, fields, level):
     """Share the nodes of a block between liquid and colliders."""
-    real, row = fields.mass.dtype.type, colliders.row[b]
+    real, row = fields.fill.dtype.type, colliders.row[b]
     for q in range(64):
         distance = colliders.nodes[row, q, 3] / dx
         if abs(distance) < CURVED_DISTANCE:
             distance += CURVATURE_SHIFT * _curvature_at(b, q, lattice, colliders) / dx
         free_part = real(1.0 - half_space_fraction(distance))
-        wet = fields.mass[64 * b + q]
+        wet = fields.fill[64 * b + q]
         share = min(free_part, wet) if free_part < RESOLVED_SHARE else free_part
         if wet <= MIN_NODE_FILL or share < MIN_SHARE:
             share = real(0.0)
@@ -193,7 +202,7 @@ def set_cells(rows, lattice, guess_scale, fields, level):
         level: LevelFields (in/out).
     """
     high, region, u = pointer(lattice.high), pointer(fields.region), pointer(level.u)
-    inverse, mass, guess = pointer(level.inverse), pointer(fields.mass), pointer(fields.guess)
+    inverse, amount, guess = pointer(level.inverse), pointer(fields.fill), pointer(fields.guess)
     filled, phi = pointer(fields.filled), pointer(fields.phi)
     scale, residual = pointer(level.scale), pointer(level.residual)
     correction, remainder = pointer(level.correction), pointer(level.remainder)
@@ -202,7 +211,7 @@ def set_cells(rows, lattice, guess_scale, fields, level):
     for b in rows:
         for x in range(4):
             c = 64 * b + 16 * x
-            fill, free = mean_of_nodes(mass, high, b, x), mean_of_nodes(free_part, high, b, x)
+            fill, free = mean_of_nodes(amount, high, b, x), mean_of_nodes(free_part, high, b, x)
             share = 0.5 * mean_of_axes(inverse, high, b, x)
             zero = 0.0 * fill
             is_covered = free <= zero + MIN_FREE_PART
@@ -310,23 +319,25 @@ def set_excess(rows, lattice, fields, level):
 
 
 @kernel
-def add_velocities(rows, dx, fields, level, velocity):
-    """Add what u is for the liquid to the velocities of the nodes of some blocks.
+def add_velocities(rows, liquids, fields, level, velocity):
+    """Add what u is for each liquid to the velocities of the nodes of some blocks.
 
     Args:
         rows: Blocks to process, shape (n,).
-        dx: Cell size [m].
+        liquids: LiquidRows.
         fields: PressureFields.
         level: LevelFields with responses to the potential in u.
-        velocity: Velocities [m/s], shape (blocks, 256) (in/out).
+        velocity: Velocities [m/s], shape (rows, 256) (in/out).
     """
-    size = level.u.dtype.type(dx)
+    size = level.u.dtype.type(liquids.dx)
     for b in rows:
-        for q in range(64):
-            share = fields.share[64 * b + q]
-            per_share = size / share if share > 0 else size
-            for a in range(3):
-                velocity[b, 4 * q + a] += per_share * level.u[192 * b + 64 * a + q]
+        for r in range(liquids.first[b], liquids.first[b + 1]):
+            for q in range(64):
+                share = fields.share[64 * b + q]
+                per_share = size / share if share > 0 else size
+                per_share *= part_of_row(r, q, liquids)
+                for a in range(3):
+                    velocity[r, 4 * q + a] += per_share * level.u[192 * b + 64 * a + q]
 
 
 @kernel
@@ -356,21 +367,24 @@ def store_node_pressure(rows, lattice, pressure_scale, fields):
 
 
 @kernel
-def store_moves(rows, fields, level, moves):
+def store_moves(rows, liquids, fields, level, moves):
     """Store displacements [cells] and relative pressure of the nodes of some blocks.
 
     Args:
         rows: Blocks to process, shape (n,).
+        liquids: LiquidRows.
         fields: PressureFields with pressures in `guess`.
         level: LevelFields with displacements in u.
-        moves: Displacement, pressure, shape (blocks, 256) (out).
+        moves: Displacement, pressure, shape (rows, 256) (out).
     """
     limit = level.u.dtype.type(MAX_MOVE)
     for b in rows:
-        for q in range(64):
-            share = fields.share[64 * b + q]
-            per_share = 1 / share if share > 0 else limit / limit
-            for a in range(3):
-                move = per_share * level.u[192 * b + 64 * a + q]
-                moves[b, 4 * q + a] = min(max(move, -limit), limit)
-            moves[b, 4 * q + 3] = fields.guess[64 * b + q]
+        for r in range(liquids.first[b], liquids.first[b + 1]):
+            for q in range(64):
+                share = fields.share[64 * b + q]
+                per_share = 1 / share if share > 0 else limit / limit
+                per_share *= part_of_row(r, q, liquids)
+                for a in range(3):
+                    move = per_share * level.u[192 * b + 64 * a + q]
+                    moves[r, 4 * q + a] = min(max(move, -limit), limit)
+                moves[r, 4 * q + 3] = fields.guess[64 * b + q]

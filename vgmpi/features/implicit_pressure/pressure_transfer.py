@@ -1,11 +1,11 @@
 """Transfer of liquids with an implicit pressure: pressure to the nodes, and displacement back.
 
-The nodes receive rest volume times pressure of the particles [m3], relative to the Tait
-coefficient: the first guess of an implicit pressure (pressure_system.py). Particles
-gather the displacement and the pressure of the nodes. Their volume ratio is not integrated. It is
-the one at which the law has the pressure of the grid, which is the first guess of the next step,
-and what files and checkpoints contain. The gathering is a kind of auxiliary_gather.py; see
-docs/explanation/implicit-pressure.md.
+The nodes receive the rest volume of the particles [m3], and the same times their pressure relative
+to the largest Tait coefficient: the first guess of an implicit pressure (pressure_system.py).
+Particles gather the displacement and the pressure of the nodes. Their volume ratio is not
+integrated. It is the one at which the law has the pressure of the grid, which is the first guess of
+the next step, and what files and checkpoints contain. The gathering is a kind of
+auxiliary_gather.py; see docs/explanation/implicit-pressure.md.
 """
 
 from typing import NamedTuple
@@ -14,7 +14,7 @@ import numpy as np
 
 from vgmpi.features.field_request import FieldRequest
 from vgmpi.kernels.nodal_fields.field_protocol import (
-    MIRROR_VECTOR,
+    MIRROR_SCALARS,
     accumulate,
     particle_contribution,
 )
@@ -37,32 +37,45 @@ from vgmpi.kernels.transfer.auxiliary_gather import (
     velocity_gradient,
     wave_speed_squared,
 )
+from vgmpi.planning.phases_and_groups import GroupPlan
 from vgmpi.planning.plan import Plan
 from vgmpi.runtime.jit import always_inline
 
-from .pressure_system import MAX_PRESSURE
+from .pressure_system import MAX_PRESSURE, MIN_PRESSURE
 
-PARTICLE_PRESSURE = "particle pressure"  # name of the field
+VOLUMES = "liquid volumes"  # name of the field
 # [-] The volume of particles is not integrated: lone drops may change theirs five times as fast.
 VOLUME_RATE_SHARE = 0.2
 MAX_THETA = 1.5  # [-] of particles: small Tait exponents would make volumes that end a run
 MAX_RELATIVE_PRESSURE = MAX_PRESSURE + 1.0  # [-] beyond what the system gives to particles
 
 
-class ParticlePressure(NamedTuple):
-    """Contribution of pressure."""
+class LiquidVolume(NamedTuple):
+    """Contribution of volume and pressure."""
 
     mirror: float  # code of nodal_fields/field_protocol.py
+    scale: float  # [-] Tait coefficient of the particles, relative to the largest of the run
 
 
-def request_particle_pressure(plan: Plan) -> FieldRequest:
-    """Return the request for the field, mirrored at walls as the mass of the particles is."""
-    kind = ParticlePressure(plan.real.type(MIRROR_VECTOR))
+def request_liquid_volumes(plan: Plan, coefficient: float) -> FieldRequest:
+    """Return the request for the field, mirrored at walls as the mass of the particles is.
+
+    Args:
+        plan: Plan of the run.
+        coefficient: Largest Tait coefficient of its liquids [Pa].
+    """
+
+    def _kind_of(group: GroupPlan) -> LiquidVolume | None:
+        if not group.volume.separate_pressure:
+            return None
+        scale = group.law.k / coefficient  # type: ignore[attr-defined]
+        return LiquidVolume(plan.real.type(MIRROR_SCALARS), plan.real.type(scale))
+
     scale = next_power_of_two(MAX_RELATIVE_PRESSURE * plan.dx**3)
     return FieldRequest(
-        PARTICLE_PRESSURE,
+        VOLUMES,
         lambda _: np.full((len(plan.phases), 4), scale),
-        lambda group: kind if group.volume.separate_pressure else None,
+        _kind_of,
         is_for_couplings=True,
     )
 
@@ -74,23 +87,26 @@ def relative_pressure(law, f, p, cap):
     return np.minimum(np.expm1(-law.gamma * theta), 0.0 * theta + MAX_RELATIVE_PRESSURE)
 
 
-@particle_contribution.register(ParticlePressure)
-def _particle_pressure(kind, law, count, offset, cap, f, extra, peak, records, dt):
+@particle_contribution.register(LiquidVolume)
+def _liquid_volume(kind, law, count, offset, cap, f, extra, peak, records, dt):
     o = broadcast(f, 0.0)
     for n in range(0, count, 16):
         p = offset + n
-        amount = load(f, p + VOLUME * cap) * relative_pressure(law, f, p, cap)
-        store_records(records, 16 * n, (o, o, o, amount, o, o, o, o, o, o, o, o, o, o, o, o))
+        volume = load(f, p + VOLUME * cap)
+        amount = kind.scale * (volume * relative_pressure(law, f, p, cap))
+        store_records(records, 16 * n, (volume, o, o, amount, o, o, o, o, o, o, o, o, o, o, o, o))
 
 
-accumulate.register(ParticlePressure)(by_weights)
+accumulate.register(LiquidVolume)(by_weights)
 
 
 class ImplicitPressureGather(NamedTuple):
     """Kind of liquids with an implicit pressure."""
 
     moves: np.ndarray  # (node blocks, 256) [cells] displacement, and relative pressure
+    patch: int  # number of its patch
     exponent: float  # [-] exponent of the Tait equation
+    scale: float  # [-] largest Tait coefficient of the run, relative to that of the particles
 
 
 for _dispatch in (particle_velocity, max_velocity, advection_velocity):
@@ -99,13 +115,13 @@ for _dispatch in (particle_velocity, max_velocity, advection_velocity):
 
 @load_patches.register(ImplicitPressureGather)
 def _(kind, blocks, box, mirror, real, ghosts, s):
-    load_mirrored_patch(kind.moves, blocks, box, mirror, patch_of(real, 0), None, s)
+    load_mirrored_patch(kind.moves, blocks, box, mirror, patch_of(real, kind.patch), None, s)
 
 
 @gather_batch.register(ImplicitPressureGather)
 def _(kind, count, weights, records, base, real, extra):
     """Gather the displacement [cells] and the relative pressure."""
-    gather_value(count, records, weights, base, patch_of(real, 0))
+    gather_value(count, records, weights, base, patch_of(real, kind.patch))
     scatter_columns(count, records, extra, 0, BATCH)
     for n in range(count):
         extra[3 * BATCH + n] = records[16 * n + 3]
@@ -124,8 +140,11 @@ def _(kind, extra, n, moves):
 @velocity_gradient.register(ImplicitPressureGather)
 def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
     """Set the volume ratio by the pressure, and return no gradient, which would change it."""
-    theta = np.log1p(load(extra, 3 * BATCH + n)) * (-1.0 / kind.exponent)
-    limit = 0.0 * theta + MAX_THETA
+    pressure = kind.scale * load(extra, 3 * BATCH + n)
+    limit = 0.0 * pressure + MAX_THETA
+    lowest, highest = 0.0 * limit + MIN_PRESSURE, 0.0 * limit + MAX_PRESSURE
+    pressure = np.minimum(np.maximum(pressure, lowest), highest)
+    theta = np.log1p(pressure) * (-1.0 / kind.exponent)
     store(f, p + STATE * cap, np.minimum(np.maximum(theta, -limit), limit))
     none = 0.0 * L[0]
     return (none, none, none, none, none, none, none, none, none)

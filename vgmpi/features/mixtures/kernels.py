@@ -33,8 +33,8 @@ MIN_POROSITY = 0.05  # [-] least volume fraction of a fluid in the presence of s
 class MixtureStage(NamedTuple):
     """Stage of phases that share space."""
 
-    flux: np.ndarray  # (node blocks, 256) volume flux [m/s] and fluid fraction (out)
-    drift: np.ndarray  # (node blocks, 256) [m/s] drift (out); any array if none is kept apart
+    flux: np.ndarray  # (node blocks, 256) volume flux [m/s] and fluid fraction (out), or no rows
+    drift: np.ndarray  # (node blocks, 256) [m/s] drift (out), or no rows if none is kept apart
     tables: tuple  # MixtureTables
 
 
@@ -67,6 +67,8 @@ def _(kind, block, fields, scratch, walls, phases, step):
 
 @after_walls.register(MixtureStage)
 def _(kind, block, has_impulses, fields, scratch, dx):
+    if len(kind.flux) == 0:
+        return  # the nodes keep their masses, with which an implicit pressure is found
     work, rules = to_pointers(scratch, kind.tables)
     store_mixture_values(block, has_impulses, _with_mixtures(kind, fields), work, rules, dx)
 

@@ -11,6 +11,7 @@ from vgmpi.planning.feature_plan import FeaturePlan, PlanDraft
 from vgmpi.planning.phases_and_groups import GroupPlan
 from vgmpi.planning.step_costs import ProximityCost, StepCosts
 from vgmpi.scene.scene import Scene
+from vgmpi.scene.scene_feature import features
 
 from .rules import InteractionRules, interaction_rules, with_slip_wave_factors
 
@@ -28,12 +29,25 @@ class MixturesPlan(FeaturePlan):
     gathers_with_stress = counts_volumes = True
     pair_channels = {"mixing": "", "drag": "share"}
 
-    def __init__(self, rules: InteractionRules, bounds: list[tuple[float, str]], cell: float):
-        """Take the rules, bounds [s] of the time step with their causes, and the cell size [m]."""
+    def __init__(
+        self, rules: InteractionRules, bounds: list[tuple[float, str]], cell: float,
+        finds_volumes: bool,
+    ):  # fmt: skip
+        """Take the rules and what follows from them.
+
+        Args:
+            rules: Rules of the interaction.
+            bounds: Bounds of the time step [s] with their causes.
+            cell: Cell size [m].
+            finds_volumes: Whether the volumes of the fluids follow from the flux of all phases;
+                with an implicit pressure they do not.
+        """
         self.rules, self.step_bounds, self.cell = rules, bounds, cell
         self.min_rate = 6.0 * float(rules.diffusion.max(initial=0.0)) / cell**2
         self.drifts = bool(rules.conservative_drift.any())
-        self.gathered = (FLUX, DRIFT) if self.drifts else (FLUX,)
+        self.finds_volumes = finds_volumes
+        self.gathered = (FLUX,) * finds_volumes + (DRIFT,) * self.drifts
+        self.slip_relaxation = rules.slip_relaxation
         self.pair_rules, self.phase_sets = rules.pair, rules.phase_sets
         shares_space = rules.mixture_set >= 0
         self.shared_stress = shares_space & rules.fluid
@@ -71,6 +85,10 @@ class MixturesPlan(FeaturePlan):
         """
         from .gather import OVERFILL_RELAXATION_RATE, MixtureGather
 
+        if not self.finds_volumes:
+            from .drift import DriftGather
+
+            return DriftGather(nodes[DRIFT], patch)
         real, wave = type(group.law[0]), group.wave
         values = (
             group.channels.first("share"), self.cell, OVERFILL_RELAXATION_RATE, wave.factor,
@@ -88,8 +106,21 @@ class MixturesPlan(FeaturePlan):
         from .kernels import MixtureStage
         from .workspace import mixture_tables
 
-        drift = nodes[DRIFT if self.drifts else FLUX]
-        return MixtureStage(nodes[FLUX], drift, mixture_tables(self.rules))
+        none = np.zeros((0, 256), next(iter(nodes.values())).dtype)
+        flux, drift = nodes.get(FLUX, none), nodes.get(DRIFT, none)
+        return MixtureStage(flux, drift, mixture_tables(self.rules))
+
+    def start(self, context: Any) -> Any:
+        """Return the drift as it acts in a run beside an implicit pressure, or None.
+
+        Args:
+            context: See `FeaturePlan.start`.
+        """
+        if self.finds_volumes or not self.drifts:
+            return None
+        from .drift import MixtureDrift  # it compiles
+
+        return MixtureDrift()
 
     def stage_scratch(self, phases: int, real: np.dtype) -> Any:
         """Return scratch of one thread for it.
@@ -140,7 +171,8 @@ def plan_mixtures(draft: PlanDraft) -> tuple[MixturesPlan | None, PlanDraft]:
         and coupling.diffusivity > 0
         and used.issuperset(coupling.between)
     ]
-    return MixturesPlan(rules, bounds, cell), draft._replace(groups=groups)
+    finds_volumes = not any(feature.removes_wave_bound(scene) for feature in features())
+    return MixturesPlan(rules, bounds, cell, finds_volumes), draft._replace(groups=groups)
 
 
 def _with_shared_space(scene: Scene, group: GroupPlan, rules: InteractionRules) -> GroupPlan:

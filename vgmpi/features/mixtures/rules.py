@@ -6,6 +6,7 @@ import numpy as np
 
 from vgmpi.materials.couplings.interaction import DRAG, MIXING
 from vgmpi.materials.material import law_function
+from vgmpi.planning.feature_plan import SlipRelaxation
 from vgmpi.planning.phases_and_groups import GroupPlan, connected_sets
 from vgmpi.scene.scene import Scene
 
@@ -55,6 +56,12 @@ class InteractionRules(NamedTuple):
         """Return the mixing group of phases without slip, which share one velocity, or -1: (n,)."""
         still = (np.asarray(self.slip_relaxation_time) == 0.0) & ~np.asarray(self.printed_mix, bool)
         return np.where(self._of_phases(still), self.mix, -1)
+
+    @property
+    def slip_relaxation(self) -> SlipRelaxation:
+        """Return the relaxation of the relative motion of fluids that mix."""
+        times = np.append(self.slip_relaxation_time, np.inf)  # -1 is the last
+        return SlipRelaxation(self.mix, times[self.mix])
 
     def _of_phases(self, mixes: np.ndarray) -> np.ndarray:
         """Map (mixes,) bool of the mixing groups to (n,) of the phases, False for all others."""

@@ -8,8 +8,9 @@ from typing import TypeVar, get_args
 
 from vgmpi.runtime.config.schema import StrictModel
 
-CONTACT, MIXING, DRAG = 0, 1, 2  # interaction of two phases
-RULES = ("contact", "mixing", "drag")
+# interaction of two phases; PRESSURE: the pressure of the grid keeps both apart
+CONTACT, MIXING, DRAG, PRESSURE = 0, 1, 2, 3
+RULES = ("contact", "mixing", "drag", "pressure")
 
 registry: dict[str, type[StrictModel]] = {}
 CouplingClass = TypeVar("CouplingClass", bound=StrictModel)

@@ -5,7 +5,7 @@ from functools import cache
 from importlib import resources
 from pathlib import Path
 
-from vgmpi.materials.couplings.interaction import CONTACT, RULES
+from vgmpi.materials.couplings.interaction import CONTACT, PRESSURE, RULES
 from vgmpi.planning.plan import Plan
 from vgmpi.planning.region_groups import group_counts
 from vgmpi.planning.step_costs import COSTS
@@ -24,6 +24,7 @@ FINE_COUNT = 27  # particles per cell with which solids bend accurately enough
 PATH = Path(str(resources.files(__package__))) / "accuracy_benchmarks.csv"
 # measured errors and costs of the accuracy presets (`python -m tests.benchmarks.levels`).
 # Units: error is a fraction, cpu is processor time in seconds.
+HOW_PHASES_MEET = {PRESSURE: "one pressure keeps them apart"}
 COLUMNS = ("case", "family", "what", "tolerance", "level", "error", "cpu")
 
 
@@ -67,11 +68,9 @@ def _couplings(plan: Plan) -> list[str]:
         for b in range(a + 1, plan.phases_of_bodies):
             names = f"{plan.phases[a].name} - {plan.phases[b].name}"
             rule = CONTACT if plan.pair_rules is None else plan.pair_rules[a, b]
-            how = (
-                f"friction {plan.contact.friction[a][b]:g}"
-                if rule == CONTACT
-                else "they share space"
-            )
+            how = HOW_PHASES_MEET.get(rule, "they share space")
+            if rule == CONTACT:
+                how = f"friction {plan.contact.friction[a][b]:g}"
             lines.append(f"  {RULES[rule]:11s} {names}: {how}")
     return lines
 

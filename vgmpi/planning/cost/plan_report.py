@@ -17,7 +17,13 @@ from . import tradeoff_results
 from .feature_costs import step_ns
 from .pilot_result import PilotRun
 from .plan_details import plan_details
-from .run_estimate import sources_meet_bodies, step_count, step_seconds, writing_seconds
+from .run_estimate import (
+    expected_step,
+    sources_meet_bodies,
+    step_count,
+    step_seconds,
+    writing_seconds,
+)
 from .scene_warnings import note_lines, warning_lines
 from .throughput import ASSUMED_THROUGHPUT, Throughput
 from .timestep_advice import limiting_material_lines, pruning_lines
@@ -121,8 +127,11 @@ def _steps(
     if reached > 0:
         left, frames = max(end - reached, 0.0), len(plan.remaining_times(reached))
         span = f"{left:.4g} of {end:g} s and {frames} of {len(plan.times)} frames"
-    few, many = (step_count(plan, d, end - left) for d in (dt, min_dt))
-    if few > MOTION_STEP_MARGIN * left / dt:
+    few, many = (
+        step_count(plan, expected_step(scene, plan, stiffened), end - left)
+        for stiffened in (False, True)
+    )
+    if step_count(plan, dt, end - left) > MOTION_STEP_MARGIN * left / dt:
         cause += "; shorter where colliders or prescribed bodies move fast"
     cause += "".join(f"; {each.step_limit}" for each in plan.features if each.step_limit)
     if rehearsal is not None:

@@ -17,9 +17,9 @@ from vgmpi.parallel.block_lattice import BLOCK_EDGE
 from vgmpi.parallel.communicator import SerialCommunicator
 from vgmpi.planning.cost.feature_costs import step_ns, step_overhead
 from vgmpi.planning.cost.pilot_result import CoarseStep, PilotRun, Snapshot
-from vgmpi.planning.cost.run_estimate import PILOT_SECONDS
+from vgmpi.planning.cost.run_estimate import PILOT_SECONDS, expected_step
 from vgmpi.planning.cost.throughput import Throughput
-from vgmpi.planning.plan import Plan, time_step_bounds
+from vgmpi.planning.plan import Plan
 from vgmpi.runtime.config.schema import SceneError
 from vgmpi.scene.loader import load_again
 from vgmpi.scene.scene import Scene
@@ -131,8 +131,7 @@ def pilot_seconds(scene: Scene, plan: Plan, pace: Throughput) -> float:
     if not grids:
         return math.inf
     ratio = scene.domain.cell / grids[0].cell
-    dt = plan.time_step.fixed or time_step_bounds(scene, plan)[0][0]
-    steps = ratio * float(plan.times[-1]) / dt
+    steps = ratio * float(plan.times[-1]) / expected_step(scene, plan)
     return steps * (1e-9 * step_ns(scene, plan, pace, ratio) + step_overhead(scene, plan))
 
 
@@ -191,9 +190,7 @@ def _play(
     """
     start, snapshots = time.monotonic(), []
     with prepared_run(coarse, SerialCommunicator(), Options(None)) as run:
-        step_ratio = time_step_bounds(coarse, run.plan)[0][0] / time_step_bounds(scene, plan)[0][0]
-        if plan.time_step.fixed and run.plan.time_step.fixed:
-            step_ratio = run.plan.time_step.fixed / plan.time_step.fixed
+        step_ratio = expected_step(coarse, run.plan) / expected_step(scene, plan)
         interval, steps_before = math.ceil(len(run.times) / SNAPSHOTS), 0
         first_second = second_before = time.process_time()
 

@@ -22,6 +22,7 @@ from vgmpi.kernels.simd.vector16 import pointer, store
 from vgmpi.kernels.wall_boundary import RELEASING, apply_coulomb_friction
 from vgmpi.runtime.jit import always_inline, kernel
 
+from ..liquid_rows import filled_part, mean_velocity, part_of_row, response_of_liquids
 from ..pressure_system import MIN_NODE_FILL
 from .cell_stencils import (
     corner_node,
@@ -69,15 +70,17 @@ def _separating_side(b, q, axis, lattice, walls):
 
 
 @always_inline
-def _kick_across(b, q, axis, lattice, mass, fields):
-    """Return share D^T phi / mass of a node along an axis, 0 without mass."""
-    if not mass > 0.0:
+def _kick_across(b, q, axis, lattice, liquids, velocity, fields):
+    """Return what the potential adds to the mean velocity of a node along an axis [cells/s]."""
+    fill = filled_part(b, q, liquids, velocity)
+    if not fill > 0.0:
         return 0.0
-    return fields.share[64 * b + q] * _push_across(b, q, axis, lattice, fields) / mass
+    response = response_of_liquids(b, q, fill, liquids, velocity)
+    return response * fields.share[64 * b + q] * _push_across(b, q, axis, lattice, fields)
 
 
 @kernel
-def release_nodes(rows, lattice, walls, velocity, unit, dx, fields, level):
+def release_nodes(rows, lattice, walls, liquids, velocity, fields, level):
     """Let nodes on separating walls answer along the normal where phi leaves them going away.
 
     Those next to colliders stay held.
@@ -86,41 +89,41 @@ def release_nodes(rows, lattice, walls, velocity, unit, dx, fields, level):
         rows: Blocks to process, shape (n,).
         lattice: Blocks, Lattice.
         walls: Walls of the domain.
-        velocity: Velocities [m/s] and masses [kg], shape (blocks, 256).
-        unit: Mass of a full cell [kg].
-        dx: Cell size [m].
+        liquids: LiquidRows.
+        velocity: Velocities [m/s] and masses [kg], shape (rows, 256).
         fields: PressureFields.
         level: LevelFields (in/out).
     """
     real = level.u.dtype.type
     for b in rows:
         for q in range(64):
-            mass = velocity[b, 4 * q + 3] / unit
-            if not mass > MIN_NODE_FILL or fields.free_part[64 * b + q] < 1:
+            fill = filled_part(b, q, liquids, velocity)
+            if not fill > MIN_NODE_FILL or fields.free_part[64 * b + q] < 1:
                 continue
             for a in range(3):
                 side = _separating_side(b, q, a, lattice, walls)
-                speed = float(velocity[b, 4 * q + a]) / dx
+                speed = float(mean_velocity(b, q, a, fill, liquids, velocity)) / liquids.dx
                 if side == 0 or not side * speed > 0.0:
                     continue
-                kick = _kick_across(b, q, a, lattice, mass, fields)
+                kick = _kick_across(b, q, a, lattice, liquids, velocity, fields)
                 if side * (speed + kick) > 0.0:
-                    level.inverse[192 * b + 64 * a + q] = real(1.0 / mass)
+                    response = response_of_liquids(b, q, fill, liquids, velocity)
+                    level.inverse[192 * b + 64 * a + q] = response
                     level.u[192 * b + 64 * a + q] = real(speed)
 
 
 @kernel
-def hold_at_separating_walls(rows, lattice, walls, impulse, fields, level, velocity, reaction):
+def hold_at_separating_walls(rows, lattice, walls, liquids, fields, level, velocity, reaction):
     """Stop what approaches separating walls, with friction by what the pressure presses.
 
     Args:
         rows: Blocks to process, shape (n,).
         lattice: Blocks, Lattice.
         walls: Walls of the domain.
-        impulse: Impulse per D^T phi [kg m].
+        liquids: LiquidRows.
         fields: PressureFields.
         level: LevelFields.
-        velocity: Velocities [m/s] and masses [kg], shape (blocks, 256) (velocities in/out).
+        velocity: Velocities [m/s] and masses [kg], shape (rows, 256) (velocities in/out).
         reaction: Reaction sums (in/out), or None.
     """
     before, first = np.zeros(3), np.zeros(3, np.int64)
@@ -133,29 +136,31 @@ def hold_at_separating_walls(rows, lattice, walls, impulse, fields, level, veloc
                 side = _separating_side(b, q, a, lattice, walls)
                 if side == 0:
                     continue
-                for c in range(3):
-                    before[c] = velocity[b, 4 * q + c]
-                push = max(-side * float(velocity[b, 4 * q + a]), 0.0)
-                if level.inverse[192 * b + 64 * a + q] > 0:
-                    if push > 0.0:
-                        velocity[b, 4 * q + a] = 0
-                else:
-                    velocity[b, 4 * q + a] = 0
-                    mass = velocity[b, 4 * q + 3]
-                    kick = impulse * _kick_across(b, q, a, lattice, mass, fields)
-                    push = max(-side * kick, 0.0)
-                if push > 0.0:
-                    friction = walls.friction[a, 0] if side > 0 else walls.friction[a, 1]
-                    apply_coulomb_friction(velocity[b], 4 * q, friction * push)
+                is_free, kick = level.inverse[192 * b + 64 * a + q] > 0, 0.0
+                if not is_free:
+                    kick = liquids.dx * _kick_across(b, q, a, lattice, liquids, velocity, fields)
+                friction = walls.friction[a, 0] if side > 0 else walls.friction[a, 1]
                 plane = 0 if side > 0 else walls.cells[a]
-                add_wall_reaction(
-                    reaction, a, int(side < 0), plane, q, first, before,
-                    velocity[b, 4 * q : 4 * q + 4],
-                )  # fmt: skip
+                for r in range(liquids.first[b], liquids.first[b + 1]):
+                    if not liquids.per_cell[liquids.phase[r]] > 0:
+                        continue
+                    for c in range(3):
+                        before[c] = velocity[r, 4 * q + c]
+                    push = max(-side * float(velocity[r, 4 * q + a]), 0.0)
+                    if not is_free or push > 0.0:
+                        velocity[r, 4 * q + a] = 0
+                    if not is_free:
+                        push = max(-side * kick * part_of_row(r, q, liquids), 0.0)
+                    if push > 0.0:
+                        apply_coulomb_friction(velocity[r], 4 * q, friction * push)
+                    add_wall_reaction(
+                        reaction, a, int(side < 0), plane, q, first, before,
+                        velocity[r, 4 * q : 4 * q + 4],
+                    )  # fmt: skip
 
 
 @kernel
-def stop_at_colliders(rows, lattice, walls, colliders, dx, fields, velocity, reaction):
+def stop_at_colliders(rows, lattice, walls, liquids, colliders, fields, velocity, reaction):
     """Stop the approach of nodes to colliders where no cell around them has pressure.
 
     Free bodies do so themselves.
@@ -164,10 +169,10 @@ def stop_at_colliders(rows, lattice, walls, colliders, dx, fields, velocity, rea
         rows: Blocks to process, shape (n,).
         lattice: Blocks, Lattice.
         walls: Walls of the domain, which hold their nodes.
+        liquids: LiquidRows.
         colliders: ColliderNodes.
-        dx: Cell size [m].
         fields: PressureFields; `cover` becomes above 0 at nodes with pressure around them.
-        velocity: Velocities [m/s], shape (blocks, 256) (in/out).
+        velocity: Velocities [m/s], shape (rows, 256) (in/out).
         reaction: Reaction sums (in/out), or None.
     """
     low, filled, wet = pointer(lattice.low), pointer(fields.filled), pointer(fields.cover)
@@ -183,45 +188,51 @@ def stop_at_colliders(rows, lattice, walls, colliders, dx, fields, velocity, rea
             store(wet, 64 * b + 16 * x, lower + upper)
             lower = upper
         for q in range(64):
-            distance = colliders.nodes[row, q, 3] / dx
+            distance = colliders.nodes[row, q, 3] / liquids.dx
             is_free = len(colliders.body) > 0 and colliders.body[row, q] >= 0
             if fields.cover[64 * b + q] > 0 or is_free or not distance < FREE_DISTANCE:
                 continue
-            approach = 0.0
-            for a in range(3):
-                if len(colliders.moves) > 0:
-                    move[a] = colliders.moves[row, q, a]
-                speed = float(velocity[b, 4 * q + a]) - move[a]
-                approach -= speed * colliders.nodes[row, q, a]
             part = min((FREE_DISTANCE - distance) / (FREE_DISTANCE - STOP_DISTANCE), 1.0)
-            for a in range(3):
-                before[a] = velocity[b, 4 * q + a]
-                if not is_held(b, q, a, lattice, walls):
-                    change = part * max(approach, 0.0) * colliders.nodes[row, q, a]
-                    velocity[b, 4 * q + a] += velocity.dtype.type(change)
-                after[a] = velocity[b, 4 * q + a]
-            if len(colliders.number) > 0:
-                set_node_indices(ijk, lattice.block[b], q)
-                set_node(reaction, q, ijk[0], ijk[1], ijk[2])
-                set_collider(reaction, colliders.number[row, q], colliders.nodes[row, q])
-                add_contact_reaction(reaction, before, after, velocity[b, 4 * q + 3], move, 0, 0)
+            for r in range(liquids.first[b], liquids.first[b + 1]):
+                if not liquids.per_cell[liquids.phase[r]] > 0:
+                    continue
+                approach = 0.0
+                for a in range(3):
+                    if len(colliders.moves) > 0:
+                        move[a] = colliders.moves[row, q, a]
+                    speed = float(velocity[r, 4 * q + a]) - move[a]
+                    approach -= speed * colliders.nodes[row, q, a]
+                for a in range(3):
+                    before[a] = velocity[r, 4 * q + a]
+                    if not is_held(b, q, a, lattice, walls):
+                        change = part * max(approach, 0.0) * colliders.nodes[row, q, a]
+                        velocity[r, 4 * q + a] += velocity.dtype.type(change)
+                    after[a] = velocity[r, 4 * q + a]
+                if len(colliders.number) > 0:
+                    set_node_indices(ijk, lattice.block[b], q)
+                    set_node(reaction, q, ijk[0], ijk[1], ijk[2])
+                    set_collider(reaction, colliders.number[row, q], colliders.nodes[row, q])
+                    mass = velocity[r, 4 * q + 3]
+                    add_contact_reaction(reaction, before, after, mass, move, 0, 0)
 
 
 @kernel
-def reserve_nodes(rows, colliders, fields, reserved):
+def reserve_nodes(rows, liquids, colliders, fields, reserved):
     """Mark the nodes at which colliders do not act later: all but those of free bodies in spray.
 
     Args:
         rows: Blocks to process, shape (n,).
+        liquids: LiquidRows.
         colliders: ColliderNodes.
         fields: PressureFields, see `stop_at_colliders`.
-        reserved: 1 at such nodes, shape (blocks, 64) (out).
+        reserved: 1 at such nodes, shape (rows, 64) (out).
     """
     for b in rows:
         row = colliders.row[b]
         for q in range(64):
             is_free = row >= 0 and len(colliders.body) > 0 and colliders.body[row, q] >= 0
-            reserved[b, q] = fields.cover[64 * b + q] > 0 or not is_free
+            for r in range(liquids.first[b], liquids.first[b + 1]):
+                reserved[r, q] = fields.cover[64 * b + q] > 0 or not is_free
 
 
 @kernel
@@ -271,18 +282,20 @@ def record_pressure(rows, lattice, walls, colliders, potential, fields, level, r
 
 
 @kernel
-def stop_moves(rows, lattice, walls, moves):
+def stop_moves(rows, lattice, walls, liquids, moves):
     """Stop displacements of nodes on separating walls that lead beyond these.
 
     Args:
         rows: Blocks to process, shape (n,).
         lattice: Blocks, Lattice.
         walls: Walls of the domain.
+        liquids: LiquidRows.
         moves: See `store_moves` (in/out).
     """
     for b in rows:
         for q in range(64):
             for a in range(3):
                 side = _separating_side(b, q, a, lattice, walls)
-                if side * moves[b, 4 * q + a] < 0:
-                    moves[b, 4 * q + a] = 0
+                for r in range(liquids.first[b], liquids.first[b + 1]):
+                    if side * moves[r, 4 * q + a] < 0:
+                        moves[r, 4 * q + a] = 0

@@ -20,8 +20,9 @@ from .cell_stencils import mean_of_axes
 from .relaxation import begin_sweeps, find_remainder, respond, sweep
 
 WET, AXES, NODES = 0, 1, 4  # sums of a coarse block: cells with pressure, responses, nodes
-RESPONSE_QUANTA = 2.0**30  # per unit of a response
-MAX_RESPONSE = 64.0  # [-] of a node, in the mean over nodes
+# The largest response of a node that counts in the mean over nodes, relative to that of a full cell
+# of the lightest liquid, and the quanta of that response.
+MAX_RESPONSE, RESPONSE_QUANTA = 64.0, 2.0**30
 # A coarse cell is twice as long: eight cells have a quarter of the second difference each.
 COARSE_RESPONSE = 2.0
 
@@ -36,13 +37,14 @@ class WetRows(NamedTuple):
 
 
 @kernel
-def count_responses(rows, counted, limit, level):
+def count_responses(rows, counted, limit, quanta, level):
     """Store the responses of the nodes of some blocks in quanta, in place of u.
 
     Args:
         rows: Blocks, shape (n,).
         counted: 1 for nodes that this rank counts, else 0, flat.
         limit: Largest response that counts.
+        quanta: Quanta per unit of a response, a power of two.
         level: LevelFields (in/out).
     """
     inverse, counts, u = pointer(level.inverse), pointer(counted), pointer(level.u)
@@ -51,8 +53,8 @@ def count_responses(rows, counted, limit, level):
             for c in range(0, 64, 16):
                 n = 192 * b + 64 * a + c
                 response = load(inverse, n)
-                quanta = np.minimum(response, 0.0 * response + limit) * RESPONSE_QUANTA
-                store(u, n, np.floor(quanta + 0.5) * load(counts, 64 * b + c))
+                counts_as = np.minimum(response, 0.0 * response + limit) * quanta
+                store(u, n, np.floor(counts_as + 0.5) * load(counts, 64 * b + c))
 
 
 @kernel
@@ -110,7 +112,7 @@ def sum_responses(rows, children, finer, counted, sums):
 
 
 @kernel
-def set_responses(rows, block, size, closed, sums, level):
+def set_responses(rows, block, size, closed, quanta, sums, level):
     """Set the responses of coarse nodes, and mark the cells with pressure by a scale of 1.
 
     Args:
@@ -118,6 +120,7 @@ def set_responses(rows, block, size, closed, sums, level):
         block: Coordinates of the blocks, shape (m, 3).
         size: Cells of the level along each axis, shape (3,).
         closed: Whether walls hold their nodes across, shape (3, 2).
+        quanta: See `count_responses`.
         sums: See `sum_responses`.
         level: LevelFields of the coarse levels (out).
     """
@@ -127,7 +130,7 @@ def set_responses(rows, block, size, closed, sums, level):
             node = 4 * block[b, 0] + q // 16, 4 * block[b, 1] + q // 4 % 4, 4 * block[b, 2] + q % 4
             level.scale[64 * b + q] = real(sums[b, WET, q] > 0)
             level.correction[64 * b + q] = level.remainder[64 * b + q] = real(0)
-            total = max(sums[b, NODES, q], 1.0) * RESPONSE_QUANTA
+            total = max(sums[b, NODES, q], 1.0) * quanta
             for a in range(3):
                 is_low, is_high = node[a] <= 0, node[a] >= size[a]  # on a wall or beyond it
                 is_held = (is_low and closed[a, 0]) or (is_high and closed[a, 1])
