@@ -212,6 +212,42 @@ def test_several_liquids_after_a_restart(liquids, tmp_path):
     assert_same_after_stop(*liquids, tmp_path / "out", 9)
 
 
+# oil that sticks to a paddle and slips on a post, over a thin floor with air below
+ADHESION = (
+    SCENE.replace("PRECISION", "single")
+    .replace('west = "stick"', 'west = "stick", bottom = "open"')
+    .replace("viscosity = 0.01", "viscosity = 5")
+    .replace('name = "paddle"', 'name = "paddle"\nslip_length = 0')
+    .replace("[[0.2, 0.04, -0.1], [0.26, 0.12, 0.1]]", "[[0.2, 0.04, 0.11], [0.26, 0.12, 0.2]]")
+    .replace('name = "post"', 'name = "post"\nslip_length = 0.01')
+    .replace("[[probe]]", """[[object]]
+name = "floor"
+role = "scenery"
+collider = true
+slip_length = 0
+shape = { box = [[-0.1, -0.1, 0], [0.6, 0.3, 0.05]] }
+[[probe]]""", 1)
+)  # fmt: skip
+# the same with an implicit viscosity, to which forces are unknown
+STUCK = ADHESION[: ADHESION.index("[[probe]]")].replace(
+    'pressure = "implicit"', 'pressure = "implicit"\nviscosity = "implicit"'
+).replace("slip_length = 0.01", "slip_length = 0")  # fmt: skip
+
+
+@pytest.fixture(scope="module", params=[ADHESION, STUCK], ids=["explicit viscosity", "implicit"])
+def sticking(request, tmp_path_factory):
+    return run_on_one_rank(tmp_path_factory.mktemp("sticking"), request.param)
+
+
+@RANKS_AND_THREADS
+def test_adhesion_on_any_ranks_and_threads(sticking, tmp_path, start, ranks, flags):
+    assert_same_files(*sticking, tmp_path / "out", start, ranks, *flags)
+
+
+def test_adhesion_after_a_restart(sticking, tmp_path):
+    assert_same_after_stop(*sticking, tmp_path / "out", 11)
+
+
 @pytest.fixture(scope="module")
 def bodies(tmp_path_factory):
     return run_on_one_rank(tmp_path_factory.mktemp("bodies"), BODIES)

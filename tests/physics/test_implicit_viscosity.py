@@ -85,13 +85,14 @@ def test_flow_between_stick_walls(tmp_path, keys, length):
         )  # fmt: skip
 
 
+@pytest.mark.parametrize("keys", [VISCOUS, BOTH], ids=["explicit pressure", "implicit pressure"])
 @pytest.mark.parametrize(
     "low, high", [(0.043, 0.14), pytest.param(0.04, 0.145, marks=pytest.mark.slow)]
 )
-def test_shear_between_plates_that_stick(tmp_path, low, high):
+def test_shear_between_plates_that_stick(tmp_path, low, high, keys):
     """Colliders, of which the upper one turns; the explicit bound is a sixth of the step."""
     text = plates(low, high, "slip_length = 0").split("[[probe]]")[0]
-    text = text.replace("[accuracy]\n", "[accuracy]\n" + VISCOUS)
+    text = text.replace("[accuracy]\n", "[accuracy]\n" + keys)
     simulation, _ = begin(tmp_path, text.replace("viscosity = 50", "viscosity = 200"))
     advance(simulation, 0.15)
     x, v = by_id(simulation, "x", "v")
@@ -100,7 +101,8 @@ def test_shear_between_plates_that_stick(tmp_path, low, high):
     turn = (x[:, 0] - MIDDLE) * v[:, 1] - (x[:, 1] - MIDDLE) * v[:, 0]
     spin, h = turn[inner] / r[inner] ** 2 / OMEGA, (x[inner, 2] - low) / (high - low)
     slope, start = np.polyfit(h, spin, 1)
-    case = f"implicit viscosity between plates, the lower at {low / PLATE_DX:g} cells"
+    case = "implicit viscosity" + (" and pressure" if keys == BOTH else "")
+    case += f" between plates, the lower at {low / PLATE_DX:g} cells"
     held(f"{case}: shear rate", float(slope), 1.0, 0.01, source="Couette")
     held(f"{case}: turning at the lower plate", float(start), 0.0, 0.01, kind="absolute",
          source="no slip")  # fmt: skip

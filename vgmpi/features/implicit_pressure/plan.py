@@ -176,6 +176,9 @@ def obstacles(
             "friction": obj.friction,
             **{key: True for feature in features() for key in feature.keys_of(obj)},
         }  # fmt: skip
+        slips = values.pop("slip_length", False)
+        if slips and obj.rigid:
+            _refuse(("object", k, "slip_length"), "slip lengths of bodies")
         for key, value in values.items():
             if value:
                 _refuse(("object", k, key), HELD_BODIES)

@@ -35,6 +35,13 @@ from .kernels.cell_stencils import (
     mean_of_axes,
     mean_of_nodes,
 )
+from .kernels.collider_faces import (
+    CLOSED_DEPTHS,
+    curvature_at,
+    find_faces,
+    has_dry_side,
+    has_opposite_faces,
+)
 from .liquid_rows import filled_part, mean_velocity, part_of_row, response_of_liquids
 
 SURFACE_FILL = 0.5  # [-] cells that are filled less have no pressure: they are the surface
@@ -137,18 +144,27 @@ def set_nodes(rows, lattice, walls, liquids, velocity, colliders, fields, level)
             fields.free_part[64 * b + q] = fields.share[64 * b + q] = unity
             fields.empty[64 * b + q] = zero
         if colliders.row[b] >= 0:
-            _share_nodes(b, lattice, walls, colliders, dx, fields, level)
+            _share_nodes(b, lattice, walls, liquids, velocity, colliders, fields, level)
 
 
 @always_inline
-def _share_nodes(b, lattice, walls, colliders, dx, fields, level):
+def _share_nodes(b, lattice, walls, liquids, velocity, colliders, fields, level):
     """Share the nodes of a block between liquid and colliders."""
+    dx, faces = liquids.dx, np.empty((27, 4))
     real, row = fields.fill.dtype.type, colliders.row[b]
     for q in range(64):
         distance = colliders.nodes[row, q, 3] / dx
-        if abs(distance) < CURVED_DISTANCE:
-            distance += CURVATURE_SHIFT * _curvature_at(b, q, lattice, colliders) / dx
-        free_part = real(1.0 - half_space_fraction(distance))
+        is_free = len(colliders.body) > 0 and colliders.body[row, q] >= 0
+        is_thin = is_closed = False
+        if not is_free and CLOSED_DEPTHS[0] < -distance < CLOSED_DEPTHS[1]:
+            count = find_faces(
+                b, q, lattice, liquids, velocity, colliders, EMPTY_PART * RESOLVED_SHARE, faces
+            )
+            is_thin = has_opposite_faces(count, faces)
+            is_closed = is_thin and has_dry_side(count, faces)
+        if abs(distance) < CURVED_DISTANCE and not is_thin:
+            distance += CURVATURE_SHIFT * curvature_at(b, q, lattice, colliders) / dx
+        free_part = real(0.0 if is_closed else 1.0 - half_space_fraction(distance))
         wet = fields.fill[64 * b + q]
         share = min(free_part, wet) if free_part < RESOLVED_SHARE else free_part
         if wet <= MIN_NODE_FILL or share < MIN_SHARE:
@@ -161,33 +177,10 @@ def _share_nodes(b, lattice, walls, colliders, dx, fields, level):
             n = 192 * b + 64 * a + q
             level.inverse[n] *= share * share
             level.u[n] *= share
-            is_free = len(colliders.body) > 0 and colliders.body[row, q] >= 0
             if is_free or len(colliders.moves) == 0:
                 continue
             if not is_held(b, q, a, lattice, walls):
                 level.u[n] += collider_share * real(colliders.moves[row, q, a] / dx)
-
-
-@always_inline
-def _curvature_at(b, q, lattice, colliders):
-    """Return the sum of second differences of the distances at a node, 0 where some are unknown.
-
-    Over the square of the cell size, it is twice the mean curvature of the nearest face.
-    """
-    own, total = colliders.nodes[colliders.row[b], q, 3], 0.0
-    for a in range(3):
-        size = 16 if a == 0 else (4 if a == 1 else 1)
-        block_step = 9 if a == 0 else (3 if a == 1 else 1)
-        for side in (-1, 1):
-            block, node = b, q + side * size
-            if q // size % 4 == (3 if side > 0 else 0):
-                block = lattice.neighbors[27 * b + 13 + side * block_step]
-                node -= side * 4 * size
-            row = colliders.row[block] if block < len(colliders.row) else -1
-            if row < 0 or not colliders.nodes[row, node, 3] < np.inf:
-                return 0.0 * own
-            total += colliders.nodes[row, node, 3] - own
-    return total
 
 
 @kernel

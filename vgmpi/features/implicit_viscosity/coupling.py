@@ -18,6 +18,7 @@ from vgmpi.parallel.block_ownership import BlockDirectory
 from vgmpi.parallel.cell_exchange import NODES_OF_PATCH, CellExchange, cell_topology
 from vgmpi.parallel.exchange_topology import ExchangeTopology
 from vgmpi.parallel.node_overlap import NEIGHBORS
+from vgmpi.planning.plan import Plan
 from vgmpi.runtime.aligned_arrays import aligned_zeros
 
 from .kernels import viscous_nodes, viscous_sweeps
@@ -91,10 +92,9 @@ class LiquidSystem:
         self.lattice, self.ranks, self.threads = context.lattice, context.ranks, context.threads
         self.liquid = liquid
         self.is_own_group = np.array([group.phase == liquid.phase for group in plan.groups])
-        # with an implicit pressure they act on the liquid by the pressure alone
-        by_pressure = any(group.volume.separate_pressure for group in plan.groups)
-        self.colliders = None if by_pressure else context.collider_nodes
         self.sticks = sticking_colliders(plan.features, liquid.phase)
+        acts = acts_along_normals(plan) or self.sticks.any()
+        self.colliders = context.collider_nodes if acts else None
         self.is_cell = cells_of_patch(plan.real)
         self.exchanges: tuple[CellExchange, ...] = ()
 
@@ -123,11 +123,8 @@ class LiquidSystem:
         )
         self.exchanges = tuple(CellExchange(self.ranks, each, real) for each in (cells, vectors))
         self.near_colliders = np.flatnonzero(self.nodes.solid >= 0)
-        count, has_colliders = (
-            len(rows),
-            self.colliders is not None and len(self.near_colliders) > 0,
-        )
-        self.fields = viscous_fields(count, has_colliders, real)
+        count, is_held = len(rows), self.colliders is not None and len(self.near_colliders) > 0
+        self.fields = viscous_fields(count, is_held and acts_along_normals(self.plan), real)
         self.velocities = [aligned_zeros(192 * (count + 1), real) for _ in range(2)]
         self.has_normals, self.wet = np.zeros(count, bool), np.zeros(count, bool)
         self.all_rows = np.array_split(np.arange(count), self.threads)
@@ -189,6 +186,11 @@ class LiquidSystem:
     def run_on_thread(self, thread: int, rows: Sequence[np.ndarray], kernel, arguments) -> None:
         """Call a kernel with the rows of a thread."""
         self.call(kernel, rows[thread], *arguments)
+
+
+def acts_along_normals(plan: Plan) -> bool:
+    """Return whether colliders hold nodes along normals: an implicit pressure has all that does."""
+    return not any(group.volume.separate_pressure for group in plan.groups)
 
 
 def sticking_colliders(plans: Sequence, phase: int) -> np.ndarray:

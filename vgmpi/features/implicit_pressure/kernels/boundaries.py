@@ -161,9 +161,10 @@ def hold_at_separating_walls(rows, lattice, walls, liquids, fields, level, veloc
 
 @kernel
 def stop_at_colliders(rows, lattice, walls, liquids, colliders, fields, velocity, reaction):
-    """Stop the approach of nodes to colliders where no cell around them has pressure.
+    """Stop the approach of nodes to colliders where no pressure acts on them.
 
-    Free bodies do so themselves.
+    No cell around them has any, or they are closed: these move along the normal as the collider
+    does. Free bodies do so themselves.
 
     Args:
         rows: Blocks to process, shape (n,).
@@ -190,7 +191,9 @@ def stop_at_colliders(rows, lattice, walls, liquids, colliders, fields, velocity
         for q in range(64):
             distance = colliders.nodes[row, q, 3] / liquids.dx
             is_free = len(colliders.body) > 0 and colliders.body[row, q] >= 0
-            if fields.cover[64 * b + q] > 0 or is_free or not distance < FREE_DISTANCE:
+            is_closed = not fields.free_part[64 * b + q] > 0
+            has_pressure = fields.cover[64 * b + q] > 0 and not is_closed
+            if has_pressure or is_free or not distance < FREE_DISTANCE:
                 continue
             part = min((FREE_DISTANCE - distance) / (FREE_DISTANCE - STOP_DISTANCE), 1.0)
             for r in range(liquids.first[b], liquids.first[b + 1]):
@@ -202,10 +205,11 @@ def stop_at_colliders(rows, lattice, walls, liquids, colliders, fields, velocity
                         move[a] = colliders.moves[row, q, a]
                     speed = float(velocity[r, 4 * q + a]) - move[a]
                     approach -= speed * colliders.nodes[row, q, a]
+                stopped = approach if is_closed else max(approach, 0.0)
                 for a in range(3):
                     before[a] = velocity[r, 4 * q + a]
                     if not is_held(b, q, a, lattice, walls):
-                        change = part * max(approach, 0.0) * colliders.nodes[row, q, a]
+                        change = part * stopped * colliders.nodes[row, q, a]
                         velocity[r, 4 * q + a] += velocity.dtype.type(change)
                     after[a] = velocity[r, 4 * q + a]
                 if len(colliders.number) > 0:

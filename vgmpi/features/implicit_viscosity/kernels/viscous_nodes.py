@@ -127,7 +127,7 @@ def hold_at_colliders(rows, nodes, phase, phases, colliders, dx, fields, has_nor
     for b in rows:
         has_normals[b] = False
         for q in range(64):
-            for a in range(3):
+            for a in range(3 if len(fields.normal) > 0 else 0):
                 fields.normal[192 * b + 64 * a + q] = 0
             surface = colliders.surfaces[nodes.solid[b], q]
             d = float(surface[3])
@@ -142,7 +142,7 @@ def hold_at_colliders(rows, nodes, phase, phases, colliders, dx, fields, has_nor
                 fields.fill[64 * b + q] = real(HELD_FILL)
                 for a in range(3):
                     fields.inverse[192 * b + 64 * a + q] = 0
-            else:
+            elif len(fields.normal) > 0:
                 has_normals[b] = True
                 _store_normal(b, q, surface, fields)
 
