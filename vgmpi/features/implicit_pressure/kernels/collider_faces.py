@@ -20,6 +20,10 @@ def curvature_at(b, q, lattice, colliders):
     """Return the sum of second differences of the distances at a node, 0 where some are unknown.
 
     Over the square of the cell size, it is twice the mean curvature of the nearest face.
+
+    Args:
+        b, q: Block, and number of the node in it.
+        lattice, colliders: See pressure_system.py `set_nodes`.
     """
     own, total = colliders.nodes[colliders.row[b], q, 3], 0.0
     for a in range(3):
