@@ -2,10 +2,12 @@
 
 import math
 
+import numpy as np
 import pytest
 
 import vgmpi
 from vgmpi.commands import cli
+from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.scene.loader import SceneError
 
 SCENE = """
@@ -153,3 +155,16 @@ def test_a_plan_names_it_where_it_suits(tmp_path, capsys, text, is_named):
     assert cli.main([str(path), "--plan"]) == 0
     line = 'accuracy.pressure = "implicit" suits this scene: 3 to 11 times fewer steps'
     assert (line in capsys.readouterr().out) == is_named
+
+
+def test_a_hydrostatic_start_adds_no_mass(tmp_path):
+    """Compressed water has more mass in its shape; an implicit pressure does not compress it."""
+    key = 'initial_pressure = "hydrostatic"'
+    still = SCENE.replace('material = "water"', f'material = "water"\n{key}')
+    made = build_scene(vgmpi.load(tmp_path / "scene.toml", text=still))
+    plain = build_scene(vgmpi.load(tmp_path / "plain.toml", text=SCENE))
+    assert made.theta0.min() < 0
+    assert np.array_equal(made.vol0, plain.vol0)
+    explicit = still.replace("implicit", "explicit")
+    more = build_scene(vgmpi.load(tmp_path / "explicit.toml", text=explicit))
+    assert more.vol0.sum() > 1.0001 * plain.vol0.sum()

@@ -123,7 +123,7 @@ def test_colliders_share_nodes_as_in_numpy(tmp_path, monkeypatch):
         )
         distance = node_values(solver, rows, self.colliders.nodes, 4, np.inf)[3] / dx
         moves = node_values(solver, rows, self.colliders.moves, 3) / dx
-        steps.append([velocity[:3] / dx, velocity[3] / self.mass_of_cell, distance, moves])
+        steps.append([velocity[:3] / dx, velocity[3] / self.liquids.mass_of_cell, distance, moves])
         couple_nodes(self, nodes, span, gravity)
 
     def record_system(self, phi):

@@ -90,7 +90,7 @@ def test_iterations_converge_to_the_projection(tmp_path, monkeypatch):
     before, after = grids
     filled = stage.fields.filled[: 64 * stage.blocks].reshape(-1, 64, 1)
     cells = np.argwhere(nodal_grid(simulation, filled, 1)[..., 0] > 0)
-    mass = before[..., 3] / stage.mass_of_cell
+    mass = before[..., 3] / stage.liquids.mass_of_cell
     inverse = np.where(mass > 1e-9, 1.0 / np.maximum(mass, 1e-9), 0.0)
     inverse = np.repeat(inverse.reshape(-1, 1), 3, 1).reshape(-1)
     matrix = divergence_matrix(cells, mass.shape)

@@ -60,7 +60,7 @@ def force_on_collider(simulation, dt):
     free_part = dense_values(stage.solver, stage.fields.free_part, 2)
     share = np.where(free_part < 1, 1 - dense_values(stage.solver, stage.fields.share, 2), 0)
     push = dense_multigrid.push(dense_values(stage.solver, stage.fields.phi, 1))
-    return (share * push).sum((1, 2, 3)) * stage.mass_of_cell * simulation.plan.dx / dt
+    return (share * push).sum((1, 2, 3)) * stage.liquids.mass_of_cell * simulation.plan.dx / dt
 
 
 def rest(folder, text, end=0.5):

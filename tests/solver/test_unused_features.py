@@ -353,11 +353,11 @@ FEATURES = {
     "an implicit pressure": (
         PLAIN.replace("[accuracy]", '[accuracy]\npressure = "implicit"'),
         {"features.implicit_pressure", "engine.gathered_nodes.displacement", "needs.fields", *(
-            f"{owner}.particle pressure"
+            f"{owner}.liquid volumes"
             for owner in ("engine.layers", "tables.has_terms", "tables.contributes")
         )},
-        {"ParticlePressure", "MomentumWithoutPressure", "ImplicitPressureGather",
-         "Lattice", "PressureFields", "LevelFields", "ColliderNodes", "set_nodes",
+        {"LiquidVolume", "LiquidRows", "MomentumWithoutPressure", "ImplicitPressureGather",
+         "Lattice", "PressureFields", "LevelFields", "hold_at_walls", "set_nodes",
          "set_cells", "set_excess", "begin_sweeps", "respond", "sweep", "multiply",
          "find_remainder", "interpolate", "sum_products", "add_velocities",
          "store_node_pressure", "store_moves", "CoarseBlocks", "WetRows", "count_responses",

@@ -113,12 +113,16 @@ def _with_fractions(piece: BuiltObject, fraction: np.ndarray) -> BuiltObject:
 
 
 def _compressed(scene: Scene, obj: Object, piece: BuiltObject) -> BuiltObject:
-    """Return the object in equilibrium under gravity: its volume so far is the compressed one."""
+    """Return the object in equilibrium under gravity: its volume so far is the compressed one.
+
+    Where the grid finds the pressure, volumes do not change with it.
+    """
     material, z = scene.material_of(obj), piece.cloud.x[:, 2]
     top = z.max() + spacing_of(scene, obj) / 2
     weight = material.density * -scene.domain.gravity[2] * (top - z)
     theta = material.hydrostatic_theta(weight)
-    return replace(piece, volume=piece.volume * np.exp(-theta), theta=theta)
+    volume = piece.volume if scene.is_free_of_waves else piece.volume * np.exp(-theta)
+    return replace(piece, volume=volume, theta=theta)
 
 
 def liquid_weights(scene: Scene, objects: list[dict], x: np.ndarray) -> tuple[float, ...]:

@@ -18,8 +18,8 @@ from vgmpi.parallel.exchange_topology import ExchangeTopology, counting_owner
 from . import pressure_system
 from .body_response import BodyResponse
 from .kernels import boundaries
-from .liquid_rows import LiquidRows, Liquids, set_parts
-from .plan import DISPLACEMENT, largest_coefficient, liquid_groups
+from .liquid_rows import LiquidRows, Liquids
+from .plan import DISPLACEMENT
 from .pressure_solver import PressureSolver
 from .pressure_system import INWARD_STEPS, ColliderNodes, pressure_fields
 from .pressure_transfer import VOLUMES
@@ -34,11 +34,7 @@ class ImplicitPressure(ActiveFeature):
         """Take the constants of a plan and its solver."""
         plan = self.plan = context.plan
         self.lattice, self.ranks, self.threads = context.lattice, context.ranks, context.threads
-        self.liquids, own = Liquids(plan), liquid_groups(plan)
-        density = max(group.density for group in own)
-        self.mass_of_cell = density * plan.dx**3
-        # relative pressure of a particle per potential of a cell and inverse time step
-        self.stiffness = largest_coefficient(own) / (density * plan.dx**2)
+        self.liquids = Liquids(plan)
         self.solver, self.colliders = solver, context.collider_nodes
         self.features = context.features
         kinds = np.array([kind for kind, _ in plan.walls.liquids]).reshape(3, 2)
@@ -77,6 +73,7 @@ class ImplicitPressure(ActiveFeature):
         touches = on_wall.any((1, 2))
         self.separating, self.beside_separating = np.flatnonzero(touches), self._cells_at(touches)
         on_any_wall = ((index == 0) | (index == last)).any((1, 2))
+        self.at_walls = np.flatnonzero(((index <= 0) | (index >= last)).any((1, 2)))
         self.at_boundaries = self._cells_at(on_any_wall | (tables.solid >= 0))
 
     def _cells_at(self, touches: np.ndarray) -> np.ndarray:
@@ -115,7 +112,7 @@ class ImplicitPressure(ActiveFeature):
         solver.each(wet, pressure_system.add_velocities, liquids, fields, level, velocity)
         reaction = nodes.reactions[0]
         if reaction is not None:
-            own = self.mass_of_cell * plan.dx * fields.phi.astype(float) * solver.counted
+            own = self.liquids.mass_of_cell * plan.dx * fields.phi.astype(float) * solver.counted
             nodes.call(
                 boundaries.record_pressure, self.at_boundaries, lattice, walls, colliders, own,
                 fields, level, reaction,
@@ -124,7 +121,7 @@ class ImplicitPressure(ActiveFeature):
             boundaries.hold_at_separating_walls, self.separating, lattice, walls, liquids,
             fields, level, velocity, reaction,
         )  # fmt: skip
-        scale = plan.real.type(1.0 / (dt * self.stiffness))
+        scale = plan.real.type(1.0 / (dt * self.liquids.stiffness))
         solver.each(wet, pressure_system.store_node_pressure, lattice, scale, fields)
         if len(self.near_colliders):
             nodes.call(
@@ -150,13 +147,15 @@ class ImplicitPressure(ActiveFeature):
         level, lattice, exchange = solver.level, solver.lattice, solver.exchange
         assert exchange is not None
         solver.take_rows(nodes.each, nodes.call, blocks, blocks)
-        if len(liquids.parts):
-            solver.each(blocks, set_parts, liquids, nodes.velocities)
-        solver.each(
-            blocks, pressure_system.set_nodes, lattice, nodes.walls, liquids, nodes.velocities,
-            colliders, fields, level,
+        solver.each(blocks, pressure_system.set_nodes, liquids, nodes.velocities, fields, level)
+        nodes.call(
+            pressure_system.hold_at_walls, self.at_walls, lattice, nodes.walls, fields, level
+        )
+        nodes.call(
+            pressure_system.share_nodes, self.near_colliders, lattice, nodes.walls, liquids,
+            nodes.velocities, colliders, fields, level,
         )  # fmt: skip
-        guess_scale = plan.real.type(dt * self.stiffness)
+        guess_scale = plan.real.type(dt * self.liquids.stiffness)
         solver.each(blocks, pressure_system.set_cells, lattice, guess_scale, fields, level)
         exchange.exchange(fields.filled)
         if self.separating_walls.any():
@@ -219,7 +218,7 @@ class ImplicitPressure(ActiveFeature):
     ) -> BodyResponse:  # fmt: skip
         """Return how free bodies answer to the pressure in this step. Collective."""
         if self.response is None:
-            self.response = BodyResponse(self.ranks, self.mass_of_cell, self.plan.dx)
+            self.response = BodyResponse(self.ranks, self.liquids.mass_of_cell, self.plan.dx)
         response = self.response
         response.find_rows(
             bodies, self.solver, self.at_boundaries, nodes.walls, colliders, self.fields

@@ -18,9 +18,9 @@ import numpy as np
 
 from vgmpi.parallel.exchange_topology import ExchangeTopology
 from vgmpi.planning.plan import Plan
-from vgmpi.runtime.jit import always_inline, kernel
+from vgmpi.runtime.jit import always_inline
 
-from .plan import liquid_groups
+from .plan import largest_coefficient, liquid_groups
 
 ADDED_MASS = 0.5  # [-] of a sphere, relative to the mass of what it displaces
 
@@ -160,36 +160,45 @@ def part_of_row(r, q, liquids):
     return liquids.parts[64 * r + q] if len(liquids.parts) > 0 else liquids.slip.dtype.type(1.0)
 
 
-@kernel
-def set_parts(rows, liquids, velocity):
-    """Set `parts` of the rows of some blocks.
+@always_inline
+def set_parts(b, liquids, velocity, level):
+    """Set `parts` of the rows of a block.
 
     Args:
-        rows: Blocks to process, shape (n,).
+        b: The block.
         liquids: LiquidRows (parts out).
         velocity: See `filled_part`.
+        level: LevelFields with the response of the liquids as `inverse`.
     """
-    for b in rows:
+    first, last = liquids.first[b], liquids.first[b + 1]
+    for r in range(first, last):
         for q in range(64):
-            fill = filled_part(b, q, liquids, velocity)
-            response = fill - fill
-            if fill > 0:
-                response = response_of_liquids(b, q, fill, liquids, velocity)
-            for r in range(liquids.first[b], liquids.first[b + 1]):
-                part = response - response
-                if response > 0:
+            response = level.inverse[192 * b + q]
+            part = response - response
+            if response > 0:
+                if last - first == 1:
+                    part = response / response
+                else:
+                    fill = filled_part(b, q, liquids, velocity)
                     part = _response_of_row(r, b, q, fill, liquids, velocity) / response
-                liquids.parts[64 * r + q] = part
+            liquids.parts[64 * r + q] = part
 
 
 class Liquids:
-    """Liquids of a run at the nodes of a rank."""
+    """Liquids of a run at the nodes of a rank.
+
+    Attributes:
+        mass_of_cell: Mass of a cell full of the heaviest one [kg].
+        stiffness: Relative pressure of particles per potential of a cell and inverse time step.
+    """
 
     def __init__(self, plan: Plan):
         """Take the liquids of a plan, without rows."""
         count, real, dx3 = len(plan.phases), plan.real, plan.dx**3
         own = liquid_groups(plan)
         heaviest = max(group.density for group in own)
+        self.mass_of_cell = heaviest * dx3
+        self.stiffness = largest_coefficient(own) / (heaviest * plan.dx**2)
         per_cell, density = np.zeros(count), np.ones(count)
         for phase in {group.phase for group in own}:
             densities = {group.density for group in own if group.phase == phase}

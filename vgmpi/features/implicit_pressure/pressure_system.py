@@ -34,6 +34,7 @@ from .kernels.cell_stencils import (
     is_held,
     mean_of_axes,
     mean_of_nodes,
+    node_index,
 )
 from .kernels.collider_faces import (
     CLOSED_DEPTHS,
@@ -42,7 +43,13 @@ from .kernels.collider_faces import (
     has_dry_side,
     has_opposite_faces,
 )
-from .liquid_rows import filled_part, mean_velocity, part_of_row, response_of_liquids
+from .liquid_rows import (
+    filled_part,
+    mean_velocity,
+    part_of_row,
+    response_of_liquids,
+    set_parts,
+)
 
 SURFACE_FILL = 0.5  # [-] cells that are filled less have no pressure: they are the surface
 MIN_NODE_FILL = 1e-9  # [-] lighter nodes do not respond
@@ -90,66 +97,109 @@ def pressure_fields(blocks: int, real: np.dtype) -> PressureFields:
 
 
 @kernel
-def set_nodes(rows, lattice, walls, liquids, velocity, colliders, fields, level):
-    """Read the nodes of some blocks.
+def set_nodes(rows, liquids, velocity, fields, level):
+    """Read the nodes of some blocks, as if nothing held them.
 
     Args:
         rows: Blocks to process, shape (n,).
-        lattice: Blocks, Lattice.
-        walls: Walls of the domain.
-        liquids: LiquidRows.
+        liquids: LiquidRows (parts out).
         velocity: Velocity [m/s] and mass [kg] of the nodes, shape (rows, 256).
-        colliders: ColliderNodes.
         fields: PressureFields (out).
         level: LevelFields (out).
     """
     real = fields.fill.dtype.type
     zero, unity = real(0.0), real(1.0)
-    dx, per_volume = liquids.dx, liquids.per_volume
-    per_length = real(1.0 / dx)
+    per_length, per_volume = real(1.0 / liquids.dx), liquids.per_volume
     for b in rows:
-        for q in range(64):
-            fill, images, inside = filled_part(b, q, liquids, velocity), unity, True
-            inverse = zero
-            for a in range(3):
-                level.u[192 * b + 64 * a + q] = zero
-            if fill > MIN_NODE_FILL:
-                inverse = response_of_liquids(b, q, fill, liquids, velocity)
+        first, last = liquids.first[b], liquids.first[b + 1]
+        density = liquids.density[liquids.phase[first]]
+        if last - first == 1 and density > 0:
+            per_cell = liquids.per_cell[liquids.phase[first]]
+            for q in range(64):
+                fill = velocity[first, 4 * q + 3] * per_cell
+                is_light = not fill > MIN_NODE_FILL
+                response = zero if is_light else unity / (fill * density)
+                scale = zero if is_light else per_length
+                for a in range(3):
+                    level.u[192 * b + 64 * a + q] = scale * velocity[first, 4 * q + a]
+                    level.inverse[192 * b + 64 * a + q] = response
+                fields.fill[64 * b + q] = fill
+                fields.guess[64 * b + q] = per_volume * liquids.sums[first, 4 * q + 3]
+        else:
+            for q in range(64):
+                fill = filled_part(b, q, liquids, velocity)
+                response, guess = zero, zero
+                if fill > MIN_NODE_FILL:
+                    response = response_of_liquids(b, q, fill, liquids, velocity)
                 for a in range(3):
                     mean = mean_velocity(b, q, a, fill, liquids, velocity)
-                    level.u[192 * b + 64 * a + q] = mean * per_length
+                    level.u[192 * b + 64 * a + q] = per_length * mean if response > 0 else zero
+                    level.inverse[192 * b + 64 * a + q] = response
+                for r in range(first, last):
+                    guess += liquids.sums[r, 4 * q + 3]
+                fields.fill[64 * b + q], fields.guess[64 * b + q] = fill, per_volume * guess
+        for q in range(64 * b, 64 * b + 64):
+            fields.free_part[q] = fields.share[q] = unity
+            fields.empty[q] = zero
+        if len(liquids.parts) > 0:
+            set_parts(b, liquids, velocity, level)
+
+
+@kernel
+def hold_at_walls(rows, lattice, walls, fields, level):
+    """Hold the nodes of some blocks at walls, and let those on walls stand for both sides.
+
+    Args:
+        rows: Blocks with nodes on walls or beyond, shape (n,).
+        lattice: Blocks, Lattice.
+        walls: Walls of the domain.
+        fields: PressureFields (in/out).
+        level: LevelFields (in/out).
+    """
+    zero = fields.fill.dtype.type(0.0)
+    for b in rows:
+        for q in range(64):
+            images, inside = 1, True
             for a in range(3):
-                level.inverse[192 * b + 64 * a + q] = inverse
-            for a in range(3):
-                step = q // 16 if a == 0 else (q // 4 % 4 if a == 1 else q % 4)
-                node = 4 * lattice.block[b, a] - 1 + step
+                node = node_index(b, q, a, lattice)
                 kind = walls.kinds[a, 0] if node <= 0 else walls.kinds[a, 1]
                 is_inside = 0 <= node <= walls.cells[a]
                 inside = inside and (is_inside or kind == OPEN)
                 if (node == 0 or node == walls.cells[a]) and kind != OPEN:
-                    images *= real(2.0)
+                    images *= 2
                     for c in range(3):
                         if kind == STICK or (kind in (SLIP, RELEASING) and c == a):
                             level.inverse[192 * b + 64 * c + q] = zero
                             level.u[192 * b + 64 * c + q] = zero
             if not inside:
+                images = 0
                 for a in range(3):
                     level.inverse[192 * b + 64 * a + q] = zero
-            fields.fill[64 * b + q] = images * fill if inside else zero
-            guess = zero
-            for r in range(liquids.first[b], liquids.first[b + 1]):
-                guess += liquids.sums[r, 4 * q + 3]
-            guess = images * guess * per_volume
-            fields.guess[64 * b + q] = guess if inside else zero
-            fields.free_part[64 * b + q] = fields.share[64 * b + q] = unity
-            fields.empty[64 * b + q] = zero
-        if colliders.row[b] >= 0:
-            _share_nodes(b, lattice, walls, liquids, velocity, colliders, fields, level)
+            fields.fill[64 * b + q] *= images
+            fields.guess[64 * b + q] *= images
+
+
+@kernel
+def share_nodes(rows, lattice, walls, liquids, velocity, colliders, fields, level):
+    """Share the nodes of some blocks between liquids and colliders.
+
+    Args:
+        rows: Blocks near colliders, shape (n,).
+        lattice: Blocks, Lattice.
+        walls: Walls of the domain.
+        liquids: LiquidRows.
+        velocity: See `set_nodes`.
+        colliders: ColliderNodes.
+        fields: PressureFields (in/out).
+        level: LevelFields (in/out).
+    """
+    for b in rows:
+        _share_block(b, lattice, walls, liquids, velocity, colliders, fields, level)
 
 
 @always_inline
-def _share_nodes(b, lattice, walls, liquids, velocity, colliders, fields, level):
-    """Share the nodes of a block between liquid and colliders."""
+def _share_block(b, lattice, walls, liquids, velocity, colliders, fields, level):
+    """Share the nodes of a block, see `share_nodes`."""
     dx, faces = liquids.dx, np.empty((27, 4))
     real, row = fields.fill.dtype.type, colliders.row[b]
     for q in range(64):
@@ -327,8 +377,9 @@ def add_velocities(rows, liquids, fields, level, velocity):
         for r in range(liquids.first[b], liquids.first[b + 1]):
             for q in range(64):
                 share = fields.share[64 * b + q]
-                per_share = size / share if share > 0 else size
-                per_share *= part_of_row(r, q, liquids)
+                per_share = size * part_of_row(r, q, liquids)
+                if 0 < share < 1:
+                    per_share /= share
                 for a in range(3):
                     velocity[r, 4 * q + a] += per_share * level.u[192 * b + 64 * a + q]
 
@@ -374,9 +425,9 @@ def store_moves(rows, liquids, fields, level, moves):
     for b in rows:
         for r in range(liquids.first[b], liquids.first[b + 1]):
             for q in range(64):
-                share = fields.share[64 * b + q]
-                per_share = 1 / share if share > 0 else limit / limit
-                per_share *= part_of_row(r, q, liquids)
+                share, per_share = fields.share[64 * b + q], part_of_row(r, q, liquids)
+                if 0 < share < 1:
+                    per_share /= share
                 for a in range(3):
                     move = per_share * level.u[192 * b + 64 * a + q]
                     moves[r, 4 * q + a] = min(max(move, -limit), limit)
