@@ -70,6 +70,13 @@ between = ["water", "oil"]
 diffusivity = 1e-3
 """
 
+RUBBING = """
+[[coupling]]
+kind = "contact"
+between = ["water", "oil"]
+friction = 0.5
+"""
+
 
 def refusal(tmp_path, text):
     with pytest.raises(SceneError) as error:
@@ -88,6 +95,12 @@ def refusal(tmp_path, text):
         ),
         ("material.sand.kind", "materials that are no fluid", SCENE + SAND),
         ("coupling.0.kind", "couplings of kind 'mixing-versagauss'", SCENE + OIL + PUBLISHED),
+        ("coupling.0.friction", "friction between liquids", SCENE + OIL + RUBBING),
+        (
+            "material.oil.density",
+            "liquids that are more than 10,000 times as heavy as others",
+            SCENE + OIL.replace("900", "0.09"),
+        ),
         (
             "material.water.tension",
             "liquids without tension",

@@ -105,6 +105,23 @@ def curved(distance):
     return np.where(np.isfinite(total) & (np.abs(distance) < 2), distance + total / 8, distance)
 
 
+def thin_and_closed(nodes, fill):
+    """Nodes of walls of two or three cells, and those of them next to a face without liquid.
+
+    nodes: normals and distances [cells], (4, ...); fill: filled part of the nodes.
+    """
+    thin, closed = np.zeros(fill.shape, bool), np.zeros(fill.shape, bool)
+    for place in np.argwhere((nodes[3] < -0.25) & (nodes[3] > -1.5)):
+        around = tuple(slice(i - 1, i + 2) for i in place)
+        near = (nodes[3][around] > -1.01) & np.isfinite(nodes[3][around])
+        normals, wet = nodes[:3][(slice(None), *around)][:, near].T, fill[around][near] > 0.05
+        outside, opposite = nodes[3][around][near] > -0.01, normals @ normals.T < -0.5
+        thin[tuple(place)] = opposite.any()
+        dry = outside & ~wet & ~((outside & wet)[None, :] & ~opposite).any(1)
+        closed[tuple(place)] = opposite.any() and dry.any()
+    return thin, closed
+
+
 def node_values(solver, rows, values, size, default=0.0):
     """Dense grid of values (n, 64, size) that only the blocks with a row have."""
     every = np.full((solver.count, 64, size), default)
@@ -121,9 +138,10 @@ def test_colliders_share_nodes_as_in_numpy(tmp_path, monkeypatch):
         velocity = node_values(
             solver, np.arange(solver.count), nodes.velocities.reshape(-1, 64, 4), 4
         )
-        distance = node_values(solver, rows, self.colliders.nodes, 4, np.inf)[3] / dx
+        normals = node_values(solver, rows, self.colliders.nodes, 4, np.inf)
+        normals[3] /= dx
         moves = node_values(solver, rows, self.colliders.moves, 3) / dx
-        steps.append([velocity[:3] / dx, velocity[3] / self.liquids.mass_of_cell, distance, moves])
+        steps.append([velocity[:3] / dx, velocity[3] / self.liquids.mass_of_cell, normals, moves])
         couple_nodes(self, nodes, span, gravity)
 
     def record_system(self, phi):
@@ -135,11 +153,14 @@ def test_colliders_share_nodes_as_in_numpy(tmp_path, monkeypatch):
     monkeypatch.setattr(PressureSolver, "solve", record_system)
     text = SCENE.replace('name = "pool"', 'name = "pool"\nsubtract = true') + PADDLE
     advance(begin(tmp_path, text)[0], 0.04)
-    for v, mass, distance, moves, inverse, right, scale in steps:
+    for v, mass, nodes, moves, inverse, right, scale in steps:
         places = np.indices(mass.shape) - 1
         last = np.array(mass.shape).reshape(3, 1, 1, 1) - 2
         at_wall, south = (places == 0) | (places == last), places[1] == 0
-        wet, free = mass * 2.0 ** at_wall.sum(0), free_part(curved(distance))
+        wet, distance = mass * 2.0 ** at_wall.sum(0), nodes[3]
+        thin, closed = thin_and_closed(nodes, wet)
+        free = free_part(np.where(thin, distance, curved(distance)))
+        free = np.where(closed, 0.0, free)
         share = np.where(wet > 1e-9, np.where(free < 0.5, np.minimum(free, wet), free), 0)
         share = np.where(share < 1e-3, 0, share)
         is_held = (places <= 0) | (places >= last) | south

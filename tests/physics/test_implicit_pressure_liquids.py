@@ -82,6 +82,33 @@ slip_relaxation_time = "10 ms"
 """
 
 
+LAYERS = """
+[domain]
+size = [0.16, 0.08, 0.4]
+cell = 0.02
+[time]
+end = 1
+[accuracy]
+pressure = "implicit"
+[material.water]
+kind = "fluid"
+[material.oil]
+kind = "fluid"
+density = {density}
+max_speed = 1
+[[object]]
+name = "water"
+material = "water"
+initial_pressure = "hydrostatic"
+shape = {{ box = [[0, 0, 0], [{wide}, 0.08, 0.24]] }}
+[[object]]
+name = "oil"
+material = "oil"
+initial_pressure = "{initial}"
+shape = {{ box = [[{side}, 0, {low}], [0.16, 0.08, {top}]] }}
+"""
+
+
 def interface_wave(x):
     """Velocity [m/s] of a wave that begins through a flat interface, at x (n, 3)."""
     z, half, v = x[:, 2], HIGH / 2, np.zeros_like(x)
@@ -141,3 +168,21 @@ def test_momentum_is_exact(tmp_path, kind):
     assert simulation.step >= 10
     assert by_id(simulation, "v")[0][~oil, 0].mean() > 0.05
     assert np.abs(after - before).max() < 1e-12 * np.abs(before).max()
+
+
+MIXED = {"density": 1000, "wide": 0.08, "side": 0.08, "low": 0, "top": 0.24,
+         "initial": "hydrostatic"}  # fmt: skip
+ABOVE = {"density": 1.25, "wide": 0.16, "side": 0, "low": 0.24, "top": 0.4, "initial": "zero"}
+
+
+@pytest.mark.parametrize(
+    "layers, coupling", [(MIXED, MIXING), (ABOVE, "")], ids=["fluids that mix", "air above water"]
+)
+def test_pressure_at_rest(tmp_path, layers, coupling):
+    """That of the weight above, in all steps, whatever the stiffness of the lighter liquid."""
+    simulation, _ = begin(tmp_path, LAYERS.format(**layers) + coupling)
+    for step in range(8):
+        simulation.advance(min(simulation.bound(), 0.01))
+        x, pressure = by_id(simulation, "x", "pressure")
+        lowest = x[:, 2] < 0.02
+        assert pressure[lowest].mean() == pytest.approx(G * 1000 * 0.23, rel=0.03), step

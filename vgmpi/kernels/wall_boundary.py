@@ -359,8 +359,10 @@ def project_tangential(offsets, index, i, j, k, cells, kinds):
     """
     for a in range(3):
         node = i if a == 0 else (j if a == 1 else k)
-        if (node == 0 and kinds[a, 0] < SEPARATE) or (node == cells[a] and kinds[a, 1] < SEPARATE):
-            offsets[index + a] = 0
+        for side in range(2):
+            kind = kinds[a, side]
+            if node == side * cells[a] and (kind < SEPARATE or kind == RELEASING):
+                offsets[index + a] = 0
 
 
 @device_function

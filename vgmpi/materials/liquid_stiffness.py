@@ -87,6 +87,15 @@ class Liquid(Material):
         gamma = max(self.tait_exponent, 1.0 + 1e-6)
         return -np.log1p((1.0 - 1.0 / gamma) * weight / self.tait_coefficient) / (gamma - 1.0)
 
+    def theta_at(self, pressure: np.ndarray, coefficient: float) -> np.ndarray:
+        """Return ln J at which the law has a pressure with another Tait coefficient, in its shape.
+
+        Args:
+            pressure: Pressure [Pa].
+            coefficient: The coefficient [Pa].
+        """
+        return -np.log1p(pressure / coefficient) / self.exponent
+
     def theta_stretched(self, tension: float) -> float:
         """Return ln J under a tension, infinite from k on, which this law's p does not exceed.
 

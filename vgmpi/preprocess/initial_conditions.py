@@ -120,9 +120,10 @@ def _compressed(scene: Scene, obj: Object, piece: BuiltObject) -> BuiltObject:
     material, z = scene.material_of(obj), piece.cloud.x[:, 2]
     top = z.max() + spacing_of(scene, obj) / 2
     weight = material.density * -scene.domain.gravity[2] * (top - z)
+    if scene.is_free_of_waves:
+        return replace(piece, theta=material.theta_at(weight, scene.largest_tait_coefficient))
     theta = material.hydrostatic_theta(weight)
-    volume = piece.volume if scene.is_free_of_waves else piece.volume * np.exp(-theta)
-    return replace(piece, volume=volume, theta=theta)
+    return replace(piece, volume=piece.volume * np.exp(-theta), theta=theta)
 
 
 def liquid_weights(scene: Scene, objects: list[dict], x: np.ndarray) -> tuple[float, ...]:

@@ -100,6 +100,17 @@ class Scene:
         """Return whether a feature frees the steps of their bound by waves."""
         return any(feature.removes_wave_bound(self) for feature in features())
 
+    @property
+    def largest_tait_coefficient(self) -> float:
+        """Return the largest Tait coefficient of the liquids that something is made of [Pa], or 0.
+
+        Where the grid finds the pressure, it is the unit of pressures of all liquids.
+        """
+        used = {name for entity in self.entities for name in self.materials_of(entity)}
+        return max(
+            (getattr(self.material[name], "tait_coefficient", 0.0) for name in used), default=0.0
+        )
+
     def is_moved(self, k: int) -> bool:
         """Return whether a feature prescribes the motion of an object, perhaps for a time."""
         return any(k in rows for rows in phases_of_features(self).values())

@@ -12,7 +12,7 @@ from vgmpi.features.active_feature import ActiveFeature, NodeState, PushedBodies
 from vgmpi.kernels.step_records import StepSpan
 from vgmpi.parallel.block_lattice import BLOCK_EDGE
 from vgmpi.parallel.block_ownership import BlockDirectory
-from vgmpi.parallel.cell_exchange import cell_topology
+from vgmpi.parallel.cell_exchange import NODES_OF_PATCH, CellExchange, cell_topology
 from vgmpi.parallel.exchange_topology import ExchangeTopology, counting_owner
 
 from . import pressure_system
@@ -33,13 +33,14 @@ class ImplicitPressure(ActiveFeature):
     def __init__(self, context: StartContext, solver: PressureSolver):
         """Take the constants of a plan and its solver."""
         plan = self.plan = context.plan
-        self.lattice, self.ranks, self.threads = context.lattice, context.ranks, context.threads
+        self.lattice, self.ranks = context.lattice, context.ranks
         self.liquids = Liquids(plan)
         self.solver, self.colliders = solver, context.collider_nodes
         self.features = context.features
         kinds = np.array([kind for kind, _ in plan.walls.liquids]).reshape(3, 2)
         self.separating_walls = kinds == "separate"
         self.response: BodyResponse | None = None
+        self.node_exchange: CellExchange | None = None  # of nodes around, where colliders are
 
     def set_topology(self, tables: ExchangeTopology, census: BlockDirectory) -> None:
         """Take new tables after a sort.
@@ -58,6 +59,11 @@ class ImplicitPressure(ActiveFeature):
         inside = ((index >= 0) & (index < self.plan.cells)).all(2)
         cells = cells._replace(region=cells.region & inside, counted=cells.counted & inside)
         self.solver.set_topology(tables.coordinates, cells, counting_owner(tables, rank))
+        if self.colliders is not None:
+            if self.node_exchange is not None:
+                self.node_exchange.link.close()
+            topology = cell_topology(tables, census, self.lattice, rank, NODES_OF_PATCH)
+            self.node_exchange = CellExchange(self.ranks, topology, real)
         self.blocks = len(tables.coordinates)
         self.fields = pressure_fields(self.blocks, real)
         self.fields.region[: 64 * self.blocks] = cells.region.reshape(-1)
@@ -151,9 +157,11 @@ class ImplicitPressure(ActiveFeature):
         nodes.call(
             pressure_system.hold_at_walls, self.at_walls, lattice, nodes.walls, fields, level
         )
+        if self.node_exchange is not None:
+            self.node_exchange.exchange(fields.fill)
         nodes.call(
-            pressure_system.share_nodes, self.near_colliders, lattice, nodes.walls, liquids,
-            nodes.velocities, colliders, fields, level,
+            pressure_system.share_nodes, self.near_colliders, lattice, nodes.walls, plan.dx,
+            colliders, fields, level,
         )  # fmt: skip
         guess_scale = plan.real.type(dt * self.liquids.stiffness)
         solver.each(blocks, pressure_system.set_cells, lattice, guess_scale, fields, level)
@@ -170,7 +178,7 @@ class ImplicitPressure(ActiveFeature):
             )  # fmt: skip
             exchange.exchange(fields.filled)
         self._spread_inward(nodes)
-        cells, wet = self._find_wet_blocks()
+        cells, wet = self._find_wet_blocks(len(blocks))
         exchange.exchange(fields.phi)
         solver.take_rows(nodes.each, nodes.call, cells, wet)
         return cells, wet
@@ -243,9 +251,9 @@ class ImplicitPressure(ActiveFeature):
         for values in (level.scale, level.residual, fields.phi):
             values[:count][is_dry] = 0
 
-    def _find_wet_blocks(self) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    def _find_wet_blocks(self, threads: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Return the blocks that have cells with pressure, and those next to them, by thread."""
-        count, threads, solver = self.blocks, self.threads, self.solver
+        count, solver = self.blocks, self.solver
         wet = np.zeros(count + 1, bool)
         wet[:count] = (self.fields.filled[: 64 * count].reshape(count, 64) > 0).any(1)
         reached = wet[solver.lattice.low.reshape(count, 8)].any(1)

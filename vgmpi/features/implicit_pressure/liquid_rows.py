@@ -6,13 +6,14 @@ liquids at a node, their masses m_k, relative to those of a full cell, and a_k =
     v_k = v_k + r_k D^T phi,     r_k = a_k / m_k,     response of the node: sum a_k r_k
 
 Their relative motion answers by the part s: with their sums A and M of a_k and m_k,
-r_k = A / M + s (a_k / m_k - A / M). In a mixture, s is what friction leaves of it in a step. Others
-have the added mass of a light liquid l among heavier ones: s = rho_l / (rho_l + C (1 - a_l) rho),
-where C = c ((rho - rho_l) / (rho + rho_l))^2 with the mean density rho; c is 1/2 for a sphere.
+r_k = A / M + s (a_k / m_k - A / M). In a mixture, s is what friction leaves of it in a step. Of
+liquids that do not mix, and of mixtures as a whole, the lightest, l, has an added mass:
+s = rho_l / (rho_l + C (1 - a_l) rho), where C = c ((rho - rho_l) / (rho + rho_l))^2 with the mean
+density rho; c is 1/2 for a sphere.
 See docs/explanation/implicit-pressure.md.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from vgmpi.parallel.exchange_topology import ExchangeTopology
 from vgmpi.planning.plan import Plan
 from vgmpi.runtime.jit import always_inline
 
-from .plan import largest_coefficient, liquid_groups
+from .plan import liquid_groups
 
 ADDED_MASS = 0.5  # [-] of a sphere, relative to the mass of what it displaces
 
@@ -79,6 +80,41 @@ def filled_part(b, q, liquids, velocity):
 
 
 @always_inline
+def _sums_of_mixture(r, b, q, liquids, velocity):
+    """Return volume and mass at a node of all rows in the mixture of a row, or of the row alone.
+
+    Args:
+        r: The row.
+        b, q, liquids, velocity: See `filled_part`.
+    """
+    mixture = liquids.mixture[liquids.phase[r]]
+    volume = volume_of_row(r, q, liquids, velocity)
+    mass = mass_of_row(r, q, volume, liquids, velocity)
+    if mixture >= 0:
+        for k in range(liquids.first[b], liquids.first[b + 1]):
+            if k != r and liquids.mixture[liquids.phase[k]] == mixture:
+                own = volume_of_row(k, q, liquids, velocity)
+                volume += own
+                mass += mass_of_row(k, q, own, liquids, velocity)
+    return volume, mass
+
+
+@always_inline
+def _added_slip(volume, mass, lightest, of_lightest, factor):
+    """Return the part of relative motion that the added mass of the lightest liquid leaves.
+
+    Args:
+        volume, mass: Sums of all liquids at a node.
+        lightest, of_lightest: Mass and volume of the lightest.
+        factor: ADDED_MASS.
+    """
+    density = lightest / of_lightest
+    contrast = (mass - volume * density) / (mass + volume * density)
+    added = factor * contrast * contrast * (volume - of_lightest) * mass
+    return density * volume * volume / (density * volume * volume + added)
+
+
+@always_inline
 def _response_of_row(r, b, q, fill, liquids, velocity):
     """Return r_k of a row at a node.
 
@@ -87,28 +123,28 @@ def _response_of_row(r, b, q, fill, liquids, velocity):
         b, q, liquids, velocity: See `filled_part`.
         fill: Result of `filled_part`, not 0.
     """
-    mixture, zero = liquids.mixture[liquids.phase[r]], fill - fill
-    volume, mass, lightest, of_lightest = zero, zero, zero, zero
-    for k in range(liquids.first[b], liquids.first[b + 1]):
-        own = volume_of_row(k, q, liquids, velocity)
-        if own > 0 and liquids.mixture[liquids.phase[k]] == mixture:
-            own_mass = mass_of_row(k, q, own, liquids, velocity)
-            if of_lightest == 0 or own_mass * of_lightest < lightest * own:
-                lightest, of_lightest = own_mass, own
-            volume += own
-            mass += own_mass
     own = volume_of_row(r, q, liquids, velocity)
     own_mass = mass_of_row(r, q, own, liquids, velocity)
-    if not own_mass > 0 or not volume > own:
-        return own / (fill * own_mass) if own_mass > 0 else zero
-    mean, free = volume / (fill * mass), own / (fill * own_mass)
-    slip = liquids.slip[liquids.phase[r]]
-    if mixture < 0:
-        density = lightest / of_lightest
-        contrast = (mass - volume * density) / (mass + volume * density)
-        added = liquids.added * contrast * contrast * (volume - of_lightest) * mass
-        slip = density * volume * volume / (density * volume * volume + added)
-    return mean + slip * (free - mean)
+    if not own_mass > 0:
+        return fill - fill
+    response = own / (fill * own_mass)
+    group, group_mass = _sums_of_mixture(r, b, q, liquids, velocity)
+    if group > own:  # it mixes with others
+        mean = group / (fill * group_mass)
+        response = mean + liquids.slip[liquids.phase[r]] * (response - mean)
+    if fill > group:  # a mixture is like one liquid beside others
+        total, lightest, of_lightest = own_mass - own_mass, group_mass, group
+        for k in range(liquids.first[b], liquids.first[b + 1]):
+            own = volume_of_row(k, q, liquids, velocity)
+            if own > 0:
+                total += mass_of_row(k, q, own, liquids, velocity)
+                volume, mass = _sums_of_mixture(k, b, q, liquids, velocity)
+                if mass * of_lightest < lightest * volume:
+                    lightest, of_lightest = mass, volume
+        slip = _added_slip(fill, total, lightest, of_lightest, liquids.added)
+        mean, of_group = fill / (fill * total), group / (fill * group_mass)
+        response += (mean + slip * (of_group - mean)) - of_group
+    return response
 
 
 @always_inline
@@ -198,7 +234,8 @@ class Liquids:
         own = liquid_groups(plan)
         heaviest = max(group.density for group in own)
         self.mass_of_cell = heaviest * dx3
-        self.stiffness = largest_coefficient(own) / (heaviest * plan.dx**2)
+        law: Any = own[0].law  # all have one coefficient
+        self.stiffness = float(law.k) / (heaviest * plan.dx**2)
         per_cell, density = np.zeros(count), np.ones(count)
         for phase in {group.phase for group in own}:
             densities = {group.density for group in own if group.phase == phase}

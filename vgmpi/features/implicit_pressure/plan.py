@@ -11,10 +11,11 @@ from vgmpi.materials.couplings.interaction import CONTACT, MIXING, PRESSURE
 from vgmpi.planning.feature_plan import FeaturePlan, PlanDraft
 from vgmpi.planning.phases_and_groups import GroupPlan, PhasePlan, VolumeTerms, WaveTerms
 from vgmpi.planning.plan import Plan, time_step_bounds
-from vgmpi.planning.step_costs import StageCost, StepCosts
+from vgmpi.planning.step_costs import ProximityCost, StageCost, StepCosts
 from vgmpi.scene.scene import Scene
 from vgmpi.scene.scene_feature import features
 
+MAX_CONTRAST = 10_000.0  # [-] of densities; beyond it runs were seen to blow up
 MAX_FREE_BODIES = 64  # the work of a step grows with the cube of their number
 HELD_BODIES = "bodies of particles that are held or moved, and colliders with friction"
 COST = StageCost(0.1, 1.2, 0.2)  # per particle, relative to the step of a fluid's
@@ -23,18 +24,13 @@ MIN_VISCOUS_RATIO = 4.0  # of the viscous bound of the step to that by waves, fo
 
 
 class ImplicitPressurePlan(FeaturePlan):
-    """Implicit pressure of a run.
-
-    Attributes:
-        coefficient: Largest Tait coefficient of the liquids [Pa]: the unit of nodal pressures.
-    """
+    """Implicit pressure of a run."""
 
     name, title = "implicit_pressure", "implicit pressure"
     gathered = (DISPLACEMENT,)
 
     def __init__(self, groups: Sequence[GroupPlan], phases: int):
         """Take the groups whose pressure the grid finds, and the number of phases."""
-        self.coefficient = largest_coefficient(groups)
         if phases > 1:
             is_liquid = np.isin(np.arange(phases), [group.phase for group in groups])
             self.pair_rules = np.where(is_liquid[:, None] & is_liquid, PRESSURE, CONTACT)
@@ -47,11 +43,21 @@ class ImplicitPressurePlan(FeaturePlan):
         """
         return COST if group.volume.separate_pressure else None
 
+    def pair_cost(self, p: int, q: int, costs: StepCosts) -> tuple[str, ProximityCost] | None:
+        """Return that two liquids in contact cost nothing more.
+
+        Args:
+            p, q, costs: See `FeaturePlan.pair_cost`.
+        """
+        if self.pair_rules is None or self.pair_rules[p, q] == CONTACT:
+            return None
+        return "pressure", ProximityCost(StageCost(), StageCost())
+
     def field_requests(self, plan: Plan) -> tuple:
         """Return the request for the pressure of the particles at the nodes."""
         from .pressure_transfer import request_liquid_volumes  # it compiles
 
-        return (request_liquid_volumes(plan, self.coefficient),)
+        return (request_liquid_volumes(plan),)
 
     def gathers(self, group: GroupPlan) -> tuple[str, ...]:
         """Return what the particles of a group gather: its displacement and pressure."""
@@ -65,10 +71,8 @@ class ImplicitPressurePlan(FeaturePlan):
         """
         from .pressure_transfer import ImplicitPressureGather
 
-        law: Any = group.law
-        real = type(law.k)
-        scale = real(self.coefficient / law.k)
-        return ImplicitPressureGather(nodes[DISPLACEMENT], patch, law.gamma, scale)
+        exponent = group.law.gamma  # type: ignore[attr-defined]
+        return ImplicitPressureGather(nodes[DISPLACEMENT], patch, exponent)
 
     def start(self, context: Any) -> Any:
         """Return the implicit pressure as it acts in a run.
@@ -97,15 +101,18 @@ def plan_implicit_pressure(draft: PlanDraft) -> tuple[ImplicitPressurePlan, Plan
         draft: Phases and groups.
 
     Returns:
-        Its plan, and the draft with groups whose pressure is not that of their volume.
+        Its plan, and the draft with groups whose pressure is not that of their volume. Their laws
+        have the largest Tait coefficient of the scene, which is a unit of pressure only.
 
     Raises:
         SceneError: The scene has what an implicit pressure does not know.
     """
     if wrong := obstacles(draft.scene, draft.groups, draft.phases):
         raise draft.scene.error(wrong)
+    coefficient = draft.scene.largest_tait_coefficient
     groups = tuple(
         group._replace(
+            law=group.law._replace(k=type(group.law[0])(coefficient)),  # type: ignore[attr-defined]
             volume=VolumeTerms(separate_pressure=True),
             wave=WaveTerms(factor=0.0),
         )
@@ -118,11 +125,6 @@ def plan_implicit_pressure(draft: PlanDraft) -> tuple[ImplicitPressurePlan, Plan
 def liquid_groups(plan: Plan) -> list[GroupPlan]:
     """Return the groups of a plan whose pressure the grid finds."""
     return [group for group in plan.groups if group.volume.separate_pressure]
-
-
-def largest_coefficient(groups: Sequence[GroupPlan]) -> float:
-    """Return the largest Tait coefficient of groups of liquids [Pa]."""
-    return max(float(group.law.k) for group in groups)  # type: ignore[attr-defined]
 
 
 def recommend_implicit_pressure(scene: Scene, plan: Plan) -> list[str]:
@@ -138,6 +140,8 @@ def recommend_implicit_pressure(scene: Scene, plan: Plan) -> list[str]:
     chosen = {"pressure", "transfer", "volume_correction", "dilatation"}
     if plan.time_step.fixed or min(viscous, default=math.inf) <= MIN_VISCOUS_RATIO * shortest:
         return []
+    if len({group.phase for group in plan.groups if not group.shares_space}) > 1:
+        return []  # where liquids of several phases lie on each other, gaps open
     if chosen & scene.accuracy.model_fields_set or obstacles(scene, plan.groups, plan.phases):
         return []
     return [
@@ -170,6 +174,13 @@ def obstacles(
     for k, coupling in enumerate(scene.coupling):
         if coupling.rule == MIXING and coupling.printed:
             _refuse(("coupling", k, "kind"), f"couplings of kind {coupling.kind!r}")
+        if coupling.rule == CONTACT and coupling.friction:
+            _refuse(("coupling", k, "friction"), "friction between liquids")
+    densities = {group.density: group.material for group in groups}
+    if max(densities) > MAX_CONTRAST * min(densities):
+        name = densities[min(densities)]
+        what = f"liquids that are more than {MAX_CONTRAST:,.0f} times as heavy as others"
+        _refuse(("material", name, "density"), what)
     for k, obj in enumerate(scene.object):
         values = {
             "motion": obj.motion and not obj.collider,

@@ -180,36 +180,33 @@ def hold_at_walls(rows, lattice, walls, fields, level):
 
 
 @kernel
-def share_nodes(rows, lattice, walls, liquids, velocity, colliders, fields, level):
+def share_nodes(rows, lattice, walls, dx, colliders, fields, level):
     """Share the nodes of some blocks between liquids and colliders.
 
     Args:
         rows: Blocks near colliders, shape (n,).
         lattice: Blocks, Lattice.
         walls: Walls of the domain.
-        liquids: LiquidRows.
-        velocity: See `set_nodes`.
+        dx: Cell size [m].
         colliders: ColliderNodes.
-        fields: PressureFields (in/out).
+        fields: PressureFields, with `fill` known around the nodes of this rank (in/out).
         level: LevelFields (in/out).
     """
     for b in rows:
-        _share_block(b, lattice, walls, liquids, velocity, colliders, fields, level)
+        _share_block(b, lattice, walls, dx, colliders, fields, level)
 
 
 @always_inline
-def _share_block(b, lattice, walls, liquids, velocity, colliders, fields, level):
+def _share_block(b, lattice, walls, dx, colliders, fields, level):
     """Share the nodes of a block, see `share_nodes`."""
-    dx, faces = liquids.dx, np.empty((27, 4))
+    faces, min_fill = np.empty((27, 4)), EMPTY_PART * RESOLVED_SHARE
     real, row = fields.fill.dtype.type, colliders.row[b]
     for q in range(64):
         distance = colliders.nodes[row, q, 3] / dx
         is_free = len(colliders.body) > 0 and colliders.body[row, q] >= 0
         is_thin = is_closed = False
         if not is_free and CLOSED_DEPTHS[0] < -distance < CLOSED_DEPTHS[1]:
-            count = find_faces(
-                b, q, lattice, liquids, velocity, colliders, EMPTY_PART * RESOLVED_SHARE, faces
-            )
+            count = find_faces(b, q, lattice, colliders, dx, fields.fill, min_fill, faces)
             is_thin = has_opposite_faces(count, faces)
             is_closed = is_thin and has_dry_side(count, faces)
         if abs(distance) < CURVED_DISTANCE and not is_thin:

@@ -1,7 +1,7 @@
 """Transfer of liquids with an implicit pressure: pressure to the nodes, and displacement back.
 
 The nodes receive the rest volume of the particles [m3], and the same times their pressure relative
-to the largest Tait coefficient: the first guess of an implicit pressure (pressure_system.py).
+to the Tait coefficient: the first guess of an implicit pressure (pressure_system.py).
 Particles gather the displacement and the pressure of the nodes. Their volume ratio is not
 integrated. It is the one at which the law has the pressure of the grid, which is the first guess of
 the next step, and what files and checkpoints contain. The gathering is a kind of
@@ -37,11 +37,10 @@ from vgmpi.kernels.transfer.auxiliary_gather import (
     velocity_gradient,
     wave_speed_squared,
 )
-from vgmpi.planning.phases_and_groups import GroupPlan
 from vgmpi.planning.plan import Plan
 from vgmpi.runtime.jit import always_inline
 
-from .pressure_system import MAX_PRESSURE, MIN_PRESSURE
+from .pressure_system import MAX_PRESSURE
 
 VOLUMES = "liquid volumes"  # name of the field
 # [-] The volume of particles is not integrated: lone drops may change theirs five times as fast.
@@ -54,28 +53,16 @@ class LiquidVolume(NamedTuple):
     """Contribution of volume and pressure."""
 
     mirror: float  # code of nodal_fields/field_protocol.py
-    scale: float  # [-] Tait coefficient of the particles, relative to the largest of the run
 
 
-def request_liquid_volumes(plan: Plan, coefficient: float) -> FieldRequest:
-    """Return the request for the field, mirrored at walls as the mass of the particles is.
-
-    Args:
-        plan: Plan of the run.
-        coefficient: Largest Tait coefficient of its liquids [Pa].
-    """
-
-    def _kind_of(group: GroupPlan) -> LiquidVolume | None:
-        if not group.volume.separate_pressure:
-            return None
-        scale = group.law.k / coefficient  # type: ignore[attr-defined]
-        return LiquidVolume(plan.real.type(MIRROR_SCALARS), plan.real.type(scale))
-
+def request_liquid_volumes(plan: Plan) -> FieldRequest:
+    """Return the request for the field, mirrored at walls as the mass of the particles is."""
+    kind = LiquidVolume(plan.real.type(MIRROR_SCALARS))
     scale = next_power_of_two(MAX_RELATIVE_PRESSURE * plan.dx**3)
     return FieldRequest(
         VOLUMES,
         lambda _: np.full((len(plan.phases), 4), scale),
-        _kind_of,
+        lambda group: kind if group.volume.separate_pressure else None,
         is_for_couplings=True,
     )
 
@@ -93,7 +80,7 @@ def _liquid_volume(kind, law, count, offset, cap, f, extra, peak, records, dt):
     for n in range(0, count, 16):
         p = offset + n
         volume = load(f, p + VOLUME * cap)
-        amount = kind.scale * (volume * relative_pressure(law, f, p, cap))
+        amount = volume * relative_pressure(law, f, p, cap)
         store_records(records, 16 * n, (volume, o, o, amount, o, o, o, o, o, o, o, o, o, o, o, o))
 
 
@@ -106,7 +93,6 @@ class ImplicitPressureGather(NamedTuple):
     moves: np.ndarray  # (node blocks, 256) [cells] displacement, and relative pressure
     patch: int  # number of its patch
     exponent: float  # [-] exponent of the Tait equation
-    scale: float  # [-] largest Tait coefficient of the run, relative to that of the particles
 
 
 for _dispatch in (particle_velocity, max_velocity, advection_velocity):
@@ -140,11 +126,8 @@ def _(kind, extra, n, moves):
 @velocity_gradient.register(ImplicitPressureGather)
 def _(kind, split, f, p, cap, extra, n, L, fill, slope, numbers):
     """Set the volume ratio by the pressure, and return no gradient, which would change it."""
-    pressure = kind.scale * load(extra, 3 * BATCH + n)
-    limit = 0.0 * pressure + MAX_THETA
-    lowest, highest = 0.0 * limit + MIN_PRESSURE, 0.0 * limit + MAX_PRESSURE
-    pressure = np.minimum(np.maximum(pressure, lowest), highest)
-    theta = np.log1p(pressure) * (-1.0 / kind.exponent)
+    theta = np.log1p(load(extra, 3 * BATCH + n)) * (-1.0 / kind.exponent)
+    limit = 0.0 * theta + MAX_THETA
     store(f, p + STATE * cap, np.minimum(np.maximum(theta, -limit), limit))
     none = 0.0 * L[0]
     return (none, none, none, none, none, none, none, none, none)

@@ -11,6 +11,7 @@ from vgmpi.kernels.particle_records import AFFINE, STATE, VOLUME, load_tensor
 from vgmpi.kernels.reproducible_sums import next_power_of_two
 from vgmpi.kernels.simd.material_dispatch import load_state_vector, stress, volume_ratio
 from vgmpi.kernels.simd.row_ops import broadcast, max_ignore_nan, store_records
+from vgmpi.kernels.simd.static_dispatch import static_dispatch
 from vgmpi.kernels.simd.vector16 import first_n, load, store
 
 from . import momentum
@@ -28,12 +29,50 @@ class Impulses(NamedTuple):
     density: float  # [kg/m3] rest density
 
 
-def kind(plan, group) -> Impulses:
+class ImpulsesWithoutPressure(NamedTuple):
+    """Contribution of deviatoric stress impulses and rest volumes: a feature has the pressure."""
+
+    mirror: float  # code of nodal_fields/field_protocol.py
+    splines: float  # 1: forces by the gradients of the B-splines, 0: by moments
+    counted: float  # 1 where phases share space, so that nodes need volumes
+    porosity: float  # channel of the fluid's volume fraction, or -1
+    dx: float  # [m] cell size
+    density: float  # [kg/m3] rest density
+
+
+momentum.stress_by_moments.register(Impulses)(momentum.stress_by_moments.table[momentum.Momentum])
+momentum.stress_by_moments.register(ImpulsesWithoutPressure)(
+    momentum.stress_by_moments.table[momentum.MomentumWithoutPressure]
+)
+
+
+@static_dispatch
+def current_ratio(kind, law, state):
+    """Return the volume of 16 particles over that at rest.
+
+    Args:
+        kind: Contribution kind.
+        law, state: Material parameters, and state of the particles.
+    """
+
+
+@current_ratio.register(Impulses)
+def _(kind, law, state):
+    return volume_ratio(law, state)
+
+
+@current_ratio.register(ImpulsesWithoutPressure)
+def _(kind, law, state):
+    return 1.0 + 0.0 * volume_ratio(law, state)
+
+
+def kind(plan, group) -> Impulses | ImpulsesWithoutPressure:
     """Return the contribution of a group's particles."""
     real = plan.real.type
+    contribution = ImpulsesWithoutPressure if group.volume.separate_pressure else Impulses
     counted = any(feature.counts_volumes for feature in plan.features)
     porosity = group.channels.first("share")
-    return Impulses(
+    return contribution(
         *(
             real(v)
             for v in (MIRROR_IMPULSE, plan.splines, counted, porosity, plan.dx, group.density)
@@ -52,6 +91,7 @@ def accumulator_range(plan, speed: float) -> np.ndarray:
 
 
 @particle_contribution.register(Impulses)
+@particle_contribution.register(ImpulsesWithoutPressure)
 def _impulses(kind, law, count, offset, cap, f, extra, peak, records, dt):
     porosity = np.int64(kind.porosity)
     zero = broadcast(f, 0.0)
@@ -62,9 +102,10 @@ def _impulses(kind, law, count, offset, cap, f, extra, peak, records, dt):
         L = load_tensor(f, p + AFFINE * cap, cap)
         state = load_state_vector(law, f, p + STATE * cap, cap)
         t00, t11, t22, t01, t02, t12 = stress(law, state, L)
+        t00, t11, t22 = momentum.stress_by_moments(kind, t00, t11, t22)
         volume = load(f, p + VOLUME * cap)
         k, over_pores = -four * volume, broadcast(f, 1.0)
-        current_volume = volume * volume_ratio(law, state) if kind.counted > 0.0 else zero
+        current_volume = volume * current_ratio(kind, law, state) if kind.counted > 0.0 else zero
         if porosity >= 0:
             pore_fraction = load(f, p + porosity * cap)
             k = k / pore_fraction
@@ -83,4 +124,5 @@ def _impulses(kind, law, count, offset, cap, f, extra, peak, records, dt):
     store(peak, 0, stress_peak)
 
 
-accumulate.register(Impulses)(momentum.by_slopes)
+for _kind in (Impulses, ImpulsesWithoutPressure):
+    accumulate.register(_kind)(momentum.by_slopes)

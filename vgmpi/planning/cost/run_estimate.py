@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from vgmpi.materials.material import law_function
-from vgmpi.planning.plan import Plan, time_step_bounds
+from vgmpi.planning.plan import Plan, initial_speeds, time_step_bounds
 from vgmpi.scene.scene import Scene
 
 from .feature_costs import PARTICLES_PER_BLOCK, step_ns, step_overhead
@@ -28,7 +27,8 @@ def expected_step(scene: Scene, plan: Plan, stiffened: bool = False) -> float:
     """Return the mean time step [s] that is expected of a run.
 
     Where waves of a liquid do not bound the steps, its motion does: it is expected to be as fast as
-    the stiffness of the material says, `max_speed` or the speed that its depth gives.
+    the stiffness of the material says, `max_speed` or the speed that its depth gives, but no faster
+    than what falls through the domain.
 
     Args:
         scene: The scene.
@@ -38,11 +38,14 @@ def expected_step(scene: Scene, plan: Plan, stiffened: bool = False) -> float:
     if plan.time_step.fixed:
         return plan.time_step.fixed
     dt = time_step_bounds(scene, plan, stiffened)[0][0]
+    drop = sum(abs(g) * n * plan.dx for g, n in zip(plan.gravity.vector, plan.cells, strict=True))
+    fall = math.sqrt(max(initial_speeds(scene, plan)) ** 2 + 2.0 * drop) or math.inf
     for group in plan.groups:
         if group.volume.separate_pressure:
             material: Any = scene.material[group.material]
-            wave2 = law_function(group.law, "wave_speed2")(group.law, group.reference)
-            speed = FASTEST_LIQUID * math.sqrt(material.max_compression * float(wave2))
+            modulus = material.tait_coefficient * material.tait_exponent
+            expected = math.sqrt(material.max_compression * modulus / material.density)
+            speed = min(FASTEST_LIQUID * expected, fall)
             dt = min(dt, plan.time_step.cfl * plan.dx / speed)
     return dt
 

@@ -8,8 +8,6 @@ import numpy as np
 
 from vgmpi.runtime.jit import always_inline
 
-from ..liquid_rows import filled_part
-
 CLOSED_DEPTHS = (0.25, 1.5)  # [cells] nodes less deep, and deeper, are not closed
 FACE_DEPTH = 0.01  # [cells] depth up to which a node counts as outside
 OPPOSITE = -0.5  # [-] product of the normals of faces of opposite sides, at most
@@ -23,7 +21,7 @@ def curvature_at(b, q, lattice, colliders):
 
     Args:
         b, q: Block, and number of the node in it.
-        lattice, colliders: See pressure_system.py `set_nodes`.
+        lattice, colliders: See pressure_system.py `share_nodes`.
     """
     own, total = colliders.nodes[colliders.row[b], q, 3], 0.0
     for a in range(3):
@@ -42,17 +40,18 @@ def curvature_at(b, q, lattice, colliders):
 
 
 @always_inline
-def find_faces(b, q, lattice, liquids, velocity, colliders, min_fill, faces):
+def find_faces(b, q, lattice, colliders, dx, fill, min_fill, faces):
     """Find the faces of colliders around a node in one; return their number.
 
     Args:
         b, q: Block and node.
-        lattice, liquids, velocity, colliders: See pressure_system.py `set_nodes`.
+        lattice, colliders, dx: See pressure_system.py `share_nodes`.
+        fill: Filled part of the nodes, flat.
         min_fill: Filled part of a node above which it has liquid.
         faces: Normal, and -1 at a node inside, 0 at one outside without liquid, 1 with liquid,
             shape (27, 4) (out).
     """
-    count, dx = 0, liquids.dx
+    count = 0
     for place in range(27):
         block, node = _node_around(b, q, place, lattice)
         row = colliders.row[block] if block < len(colliders.row) else -1
@@ -60,7 +59,7 @@ def find_faces(b, q, lattice, liquids, velocity, colliders, min_fill, faces):
             continue
         for a in range(3):
             faces[count, a] = colliders.nodes[row, node, a]
-        is_wet = filled_part(block, node, liquids, velocity) > min_fill
+        is_wet = fill[64 * block + node] > min_fill
         is_outside = colliders.nodes[row, node, 3] > -dx * FACE_DEPTH
         faces[count, 3] = (1.0 if is_wet else 0.0) if is_outside else -1.0
         count += 1
