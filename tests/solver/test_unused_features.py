@@ -353,10 +353,10 @@ FEATURES = {
     "an implicit pressure": (
         PLAIN.replace("[accuracy]", '[accuracy]\npressure = "implicit"'),
         {"features.implicit_pressure", "engine.gathered_nodes.displacement", "needs.fields", *(
-            f"{owner}.liquid volumes"
+            f"{owner}.particle pressure"
             for owner in ("engine.layers", "tables.has_terms", "tables.contributes")
         )},
-        {"LiquidVolume", "LiquidRows", "MomentumWithoutPressure", "ImplicitPressureGather",
+        {"ParticlePressure", "LiquidRows", "MomentumWithoutPressure", "ImplicitPressureGather",
          "Lattice", "PressureFields", "LevelFields", "hold_at_walls", "set_nodes",
          "set_cells", "set_excess", "begin_sweeps", "respond", "sweep", "multiply",
          "find_remainder", "interpolate", "sum_products", "add_velocities",

@@ -28,7 +28,7 @@ from vgmpi.kernels.simd.cooperative import strided_range, sync_threads
 from vgmpi.runtime.jit import always_inline, device_function
 
 from .grid.collider_hold import give_back_push, lost_push
-from .nodal_fields.field_protocol import MIRROR_IMPULSE, MIRROR_MOMENT, MIRROR_SCALARS
+from .nodal_fields.field_protocol import MIRROR_IMPULSE, MIRROR_MOMENT
 from .reaction_impulses import (
     add_fold_reaction,
     add_mirror_reaction,
@@ -118,7 +118,6 @@ def fold_ghost_momentum(patch, mirror, field_mirror, ghosts, s):
                 )
                 for c in range(4):
                     odd = c == a or (kind == STICK and c < 3 and field_mirror != MIRROR_MOMENT)
-                    odd = odd and field_mirror != MIRROR_SCALARS
                     patch[inner + c] += -patch[ghost + c] if odd else patch[ghost + c]
                     patch[ghost + c] = 0
             sync_threads()

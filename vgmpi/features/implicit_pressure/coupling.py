@@ -22,7 +22,6 @@ from .liquid_rows import LiquidRows, Liquids
 from .plan import DISPLACEMENT
 from .pressure_solver import PressureSolver
 from .pressure_system import INWARD_STEPS, ColliderNodes, pressure_fields
-from .pressure_transfer import VOLUMES
 
 
 class ImplicitPressure(ActiveFeature):
@@ -105,7 +104,7 @@ class ImplicitPressure(ActiveFeature):
         bodies = self._pushed_bodies()
         colliders, liquids = (
             self._colliders_at(nodes, bodies),
-            self.liquids.rows_in(nodes.fields[VOLUMES].nodes, dt),
+            self.liquids.rows_in(nodes.fields, dt),
         )
         cells, wet = self._set_system(nodes, colliders, liquids, dt)
         if bodies is not None:

@@ -13,6 +13,7 @@ density rho; c is 1/2 for a sphere.
 See docs/explanation/implicit-pressure.md.
 """
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ from vgmpi.parallel.exchange_topology import ExchangeTopology
 from vgmpi.planning.plan import Plan
 from vgmpi.runtime.jit import always_inline
 
-from .plan import liquid_groups
+from .plan import LIQUID_VOLUME, PARTICLE_PRESSURE, liquid_groups
 
 ADDED_MASS = 0.5  # [-] of a sphere, relative to the mass of what it displaces
 
@@ -36,7 +37,8 @@ class LiquidRows(NamedTuple):
     mixture: np.ndarray  # (phases,) number of the mixture, or -1
     slip: np.ndarray  # (phases,) [-] part of the relative motion in it that a step leaves
     parts: np.ndarray  # (64 rows,) r_k over the response of the node; no rows for a lone liquid
-    sums: np.ndarray  # (rows, 256) volume [m3], 0, 0, volume times relative pressure [m3]
+    pressures: np.ndarray  # (rows, 256) fourth number: volume times relative pressure [m3]
+    volumes: np.ndarray  # (rows, 256) fourth number: volume [m3]; no rows without `density` 0
     dx: float  # [m] cell size
     per_volume: float  # [1/m3] inverse volume of a cell
     per_mass: float  # [1/kg] inverse mass of a cell full of the heaviest liquid
@@ -49,7 +51,7 @@ def volume_of_row(r, q, liquids, velocity):
     phase = liquids.phase[r]
     if liquids.density[phase] > 0:
         return velocity[r, 4 * q + 3] * liquids.per_cell[phase]
-    return liquids.sums[r, 4 * q] * liquids.per_volume
+    return liquids.volumes[r, 4 * q + 3] * liquids.per_volume
 
 
 @always_inline
@@ -248,7 +250,7 @@ class Liquids:
         numbers = 1.0 / dx3, 1.0 / (heaviest * dx3), ADDED_MASS
         self.rows = LiquidRows(
             none, none, per_cell.astype(real), density.astype(real), sets, ones, no_parts,
-            np.zeros((0, 256), real), plan.dx, *map(real.type, numbers),
+            np.zeros((0, 256), real), np.zeros((0, 256), real), plan.dx, *map(real.type, numbers),
         )  # fmt: skip
         self.is_lone = density.tolist() == [1.0]
 
@@ -257,14 +259,16 @@ class Liquids:
         parts = np.zeros(0 if self.is_lone else 64 * len(tables.phase), self.rows.slip.dtype)
         self.rows = self.rows._replace(first=tables.first, phase=tables.phase, parts=parts)
 
-    def rows_in(self, sums: np.ndarray, dt: float) -> LiquidRows:
+    def rows_in(self, fields: Mapping[str, Any], dt: float) -> LiquidRows:
         """Return the liquids at the nodes in a step.
 
         Args:
-            sums: Volumes and pressures at the nodes, shape (rows, 256).
+            fields: Nodal fields by name.
             dt: Length of the step [s].
         """
-        self.rows = self.rows._replace(sums=sums)
+        self.rows = self.rows._replace(pressures=fields[PARTICLE_PRESSURE].nodes)
+        if (self.rows.density == 0).any():
+            self.rows = self.rows._replace(volumes=fields[LIQUID_VOLUME].nodes)
         if self.relaxation is None:
             return self.rows
         times = np.maximum(self.relaxation.times, np.finfo(float).tiny)

@@ -19,6 +19,7 @@ MAX_CONTRAST = 10_000.0  # [-] of densities; beyond it runs were seen to blow up
 MAX_FREE_BODIES = 64  # the work of a step grows with the cube of their number
 HELD_BODIES = "bodies of particles that are held or moved, and colliders with friction"
 COST = StageCost(0.1, 1.2, 0.2)  # per particle, relative to the step of a fluid's
+PARTICLE_PRESSURE, LIQUID_VOLUME = "particle pressure", "liquid volume"  # nodal fields
 DISPLACEMENT = "displacement"  # nodal displacement [cells] and relative pressure, for particles
 MIN_VISCOUS_RATIO = 4.0  # of the viscous bound of the step to that by waves, for the advice
 
@@ -55,9 +56,9 @@ class ImplicitPressurePlan(FeaturePlan):
 
     def field_requests(self, plan: Plan) -> tuple:
         """Return the request for the pressure of the particles at the nodes."""
-        from .pressure_transfer import request_liquid_volumes  # it compiles
+        from .pressure_transfer import request_liquid_fields  # it compiles
 
-        return (request_liquid_volumes(plan),)
+        return request_liquid_fields(plan)
 
     def gathers(self, group: GroupPlan) -> tuple[str, ...]:
         """Return what the particles of a group gather: its displacement and pressure."""

@@ -39,6 +39,7 @@ from .kernels.cell_stencils import (
 from .kernels.collider_faces import (
     CLOSED_DEPTHS,
     curvature_at,
+    distance_beside,
     find_faces,
     has_dry_side,
     has_opposite_faces,
@@ -124,7 +125,7 @@ def set_nodes(rows, liquids, velocity, fields, level):
                     level.u[192 * b + 64 * a + q] = scale * velocity[first, 4 * q + a]
                     level.inverse[192 * b + 64 * a + q] = response
                 fields.fill[64 * b + q] = fill
-                fields.guess[64 * b + q] = per_volume * liquids.sums[first, 4 * q + 3]
+                fields.guess[64 * b + q] = per_volume * liquids.pressures[first, 4 * q + 3]
         else:
             for q in range(64):
                 fill = filled_part(b, q, liquids, velocity)
@@ -136,7 +137,7 @@ def set_nodes(rows, liquids, velocity, fields, level):
                     level.u[192 * b + 64 * a + q] = per_length * mean if response > 0 else zero
                     level.inverse[192 * b + 64 * a + q] = response
                 for r in range(first, last):
-                    guess += liquids.sums[r, 4 * q + 3]
+                    guess += liquids.pressures[r, 4 * q + 3]
                 fields.fill[64 * b + q], fields.guess[64 * b + q] = fill, per_volume * guess
         for q in range(64 * b, 64 * b + 64):
             fields.free_part[q] = fields.share[q] = unity
@@ -226,8 +227,24 @@ def _share_block(b, lattice, walls, dx, colliders, fields, level):
             level.u[n] *= share
             if is_free or len(colliders.moves) == 0:
                 continue
-            if not is_held(b, q, a, lattice, walls):
-                level.u[n] += collider_share * real(colliders.moves[row, q, a] / dx)
+            part = collider_share
+            if is_held(b, q, a, lattice, walls):
+                part = min(part, real(_share_beyond(b, q, a, lattice, walls, dx, colliders)))
+            level.u[n] += part * real(colliders.moves[row, q, a] / dx)
+
+
+@always_inline
+def _share_beyond(b, q, axis, lattice, walls, dx, colliders):
+    """Return what a collider has of the node beyond a wall across an axis, 1 on no such wall.
+
+    What moves along a wall pushes there as elsewhere, and so does what passes through it; a
+    collider that leaves it does not.
+    """
+    index = node_index(b, q, axis, lattice)
+    if 0 < index < walls.cells[axis]:
+        return 1.0
+    distance = distance_beside(b, q, axis, -1 if index <= 0 else 1, lattice, colliders)
+    return half_space_fraction(distance / dx) if distance < np.inf else 0.0
 
 
 @kernel

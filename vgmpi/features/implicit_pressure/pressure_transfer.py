@@ -1,11 +1,12 @@
 """Transfer of liquids with an implicit pressure: pressure to the nodes, and displacement back.
 
-The nodes receive the rest volume of the particles [m3], and the same times their pressure relative
-to the Tait coefficient: the first guess of an implicit pressure (pressure_system.py).
-Particles gather the displacement and the pressure of the nodes. Their volume ratio is not
-integrated. It is the one at which the law has the pressure of the grid, which is the first guess of
-the next step, and what files and checkpoints contain. The gathering is a kind of
-auxiliary_gather.py; see docs/explanation/implicit-pressure.md.
+The nodes receive rest volume times pressure of the particles [m3], relative to the Tait
+coefficient: the first guess of an implicit pressure (pressure_system.py). Where liquids of several
+densities have one velocity, they also receive the rest volume. Particles gather the displacement
+and the pressure of the nodes. Their volume ratio is not integrated. It is the one at which the law
+has the pressure of the grid, which is the first guess of the next step, and what files and
+checkpoints contain. The gathering is a kind of auxiliary_gather.py; see
+docs/explanation/implicit-pressure.md.
 """
 
 from typing import NamedTuple
@@ -14,7 +15,7 @@ import numpy as np
 
 from vgmpi.features.field_request import FieldRequest
 from vgmpi.kernels.nodal_fields.field_protocol import (
-    MIRROR_SCALARS,
+    MIRROR_VECTOR,
     accumulate,
     particle_contribution,
 )
@@ -22,6 +23,7 @@ from vgmpi.kernels.nodal_fields.momentum import by_weights
 from vgmpi.kernels.particle_records import BATCH, STATE, VOLUME, patch_of, scatter_columns
 from vgmpi.kernels.reproducible_sums import next_power_of_two
 from vgmpi.kernels.simd.row_ops import broadcast, store_records
+from vgmpi.kernels.simd.static_dispatch import static_dispatch
 from vgmpi.kernels.simd.vector16 import load, store
 from vgmpi.kernels.stencil_sums import gather_value
 from vgmpi.kernels.transfer.auxiliary_gather import (
@@ -40,31 +42,48 @@ from vgmpi.kernels.transfer.auxiliary_gather import (
 from vgmpi.planning.plan import Plan
 from vgmpi.runtime.jit import always_inline
 
+from .plan import LIQUID_VOLUME, PARTICLE_PRESSURE, liquid_groups
 from .pressure_system import MAX_PRESSURE
 
-VOLUMES = "liquid volumes"  # name of the field
 # [-] The volume of particles is not integrated: lone drops may change theirs five times as fast.
 VOLUME_RATE_SHARE = 0.2
 MAX_THETA = 1.5  # [-] of particles: small Tait exponents would make volumes that end a run
 MAX_RELATIVE_PRESSURE = MAX_PRESSURE + 1.0  # [-] beyond what the system gives to particles
 
 
-class LiquidVolume(NamedTuple):
-    """Contribution of volume and pressure."""
+class ParticlePressure(NamedTuple):
+    """Contribution of volume times relative pressure."""
 
     mirror: float  # code of nodal_fields/field_protocol.py
 
 
-def request_liquid_volumes(plan: Plan) -> FieldRequest:
-    """Return the request for the field, mirrored at walls as the mass of the particles is."""
-    kind = LiquidVolume(plan.real.type(MIRROR_SCALARS))
-    scale = next_power_of_two(MAX_RELATIVE_PRESSURE * plan.dx**3)
-    return FieldRequest(
-        VOLUMES,
-        lambda _: np.full((len(plan.phases), 4), scale),
-        lambda group: kind if group.volume.separate_pressure else None,
-        is_for_couplings=True,
-    )
+class LiquidVolume(NamedTuple):
+    """Contribution of volume."""
+
+    mirror: float  # code of nodal_fields/field_protocol.py
+
+
+def request_liquid_fields(plan: Plan) -> tuple[FieldRequest, ...]:
+    """Return the requests for the fields, mirrored at walls as the mass of the particles is."""
+    dx3, mirror, own = plan.dx**3, plan.real.type(MIRROR_VECTOR), liquid_groups(plan)
+    mixed = {a.phase for a in own for b in own if a.phase == b.phase and a.density != b.density}
+    pressure, volume = ParticlePressure(mirror), LiquidVolume(mirror)
+    max_sum = next_power_of_two(MAX_RELATIVE_PRESSURE * dx3)
+    fields = [
+        FieldRequest(
+            PARTICLE_PRESSURE,
+            lambda _: np.full((len(plan.phases), 4), max_sum),
+            lambda group: pressure if group.volume.separate_pressure else None,
+            is_for_couplings=True,
+        ),
+        FieldRequest(
+            LIQUID_VOLUME,
+            lambda _: np.full((len(plan.phases), 4), next_power_of_two(dx3)),
+            lambda group: volume if group.phase in mixed else None,
+            is_for_couplings=True,
+        ),
+    ]
+    return tuple(fields if mixed else fields[:1])
 
 
 @always_inline
@@ -74,17 +93,38 @@ def relative_pressure(law, f, p, cap):
     return np.minimum(np.expm1(-law.gamma * theta), 0.0 * theta + MAX_RELATIVE_PRESSURE)
 
 
+@static_dispatch
+def summed_amount(kind, law, f, p, cap):
+    """Return what 16 particles add to a nodal field.
+
+    Args:
+        kind: Contribution kind.
+        law: Material parameters of the group.
+        f, p, cap: Particle channels, flat; first of the 16 particles; stride of channels.
+    """
+
+
+@summed_amount.register(ParticlePressure)
+def _(kind, law, f, p, cap):
+    return load(f, p + VOLUME * cap) * relative_pressure(law, f, p, cap)
+
+
+@summed_amount.register(LiquidVolume)
+def _(kind, law, f, p, cap):
+    return load(f, p + VOLUME * cap)
+
+
+@particle_contribution.register(ParticlePressure)
 @particle_contribution.register(LiquidVolume)
-def _liquid_volume(kind, law, count, offset, cap, f, extra, peak, records, dt):
+def _summed(kind, law, count, offset, cap, f, extra, peak, records, dt):
     o = broadcast(f, 0.0)
     for n in range(0, count, 16):
-        p = offset + n
-        volume = load(f, p + VOLUME * cap)
-        amount = volume * relative_pressure(law, f, p, cap)
-        store_records(records, 16 * n, (volume, o, o, amount, o, o, o, o, o, o, o, o, o, o, o, o))
+        amount = summed_amount(kind, law, f, offset + n, cap)
+        store_records(records, 16 * n, (o, o, o, amount, o, o, o, o, o, o, o, o, o, o, o, o))
 
 
-accumulate.register(LiquidVolume)(by_weights)
+for _kind in (ParticlePressure, LiquidVolume):
+    accumulate.register(_kind)(by_weights)
 
 
 class ImplicitPressureGather(NamedTuple):

@@ -12,9 +12,8 @@ The first field of every kind is `mirror`: how walls act on it.
 from vgmpi.kernels.simd.static_dispatch import static_dispatch
 
 # walls ignore it; reflect it as a vector; as an offset; as momentum, and separate walls of solids
-# reflect what presses on them; reflect it as four scalars
+# reflect what presses on them
 MIRROR_NONE, MIRROR_VECTOR, MIRROR_MOMENT, MIRROR_IMPULSE = 0.0, 1.0, 2.0, 3.0
-MIRROR_SCALARS = 4.0
 
 
 @static_dispatch

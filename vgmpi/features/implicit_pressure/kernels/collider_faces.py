@@ -14,6 +14,25 @@ OPPOSITE = -0.5  # [-] product of the normals of faces of opposite sides, at mos
 
 
 @always_inline
+def distance_beside(b, q, axis, side, lattice, colliders):
+    """Return the distance of a collider from the node beside a node, inf where it is unknown [m].
+
+    Args:
+        b, q: Block, and number of the node in it.
+        axis, side: Axis along which the other node lies, and -1 or 1.
+        lattice, colliders: See pressure_system.py `share_nodes`.
+    """
+    size = 16 if axis == 0 else (4 if axis == 1 else 1)
+    block_step = 9 if axis == 0 else (3 if axis == 1 else 1)
+    block, node = b, q + side * size
+    if q // size % 4 == (3 if side > 0 else 0):
+        block = lattice.neighbors[27 * b + 13 + side * block_step]
+        node -= side * 4 * size
+    row = colliders.row[block] if block < len(colliders.row) else -1
+    return colliders.nodes[row, node, 3] if row >= 0 else colliders.nodes.dtype.type(np.inf)
+
+
+@always_inline
 def curvature_at(b, q, lattice, colliders):
     """Return the sum of second differences of the distances at a node, 0 where some are unknown.
 
@@ -25,17 +44,11 @@ def curvature_at(b, q, lattice, colliders):
     """
     own, total = colliders.nodes[colliders.row[b], q, 3], 0.0
     for a in range(3):
-        size = 16 if a == 0 else (4 if a == 1 else 1)
-        block_step = 9 if a == 0 else (3 if a == 1 else 1)
         for side in (-1, 1):
-            block, node = b, q + side * size
-            if q // size % 4 == (3 if side > 0 else 0):
-                block = lattice.neighbors[27 * b + 13 + side * block_step]
-                node -= side * 4 * size
-            row = colliders.row[block] if block < len(colliders.row) else -1
-            if row < 0 or not colliders.nodes[row, node, 3] < np.inf:
+            distance = distance_beside(b, q, a, side, lattice, colliders)
+            if not distance < np.inf:
                 return 0.0 * own
-            total += colliders.nodes[row, node, 3] - own
+            total += distance - own
     return total
 
 
