@@ -141,8 +141,8 @@ def recommend_implicit_pressure(scene: Scene, plan: Plan) -> list[str]:
     chosen = {"pressure", "transfer", "volume_correction", "dilatation"}
     if plan.time_step.fixed or min(viscous, default=math.inf) <= MIN_VISCOUS_RATIO * shortest:
         return []
-    if len({group.phase for group in plan.groups if not group.shares_space}) > 1:
-        return []  # where liquids of several phases lie on each other, gaps open
+    if len(plan.phases) > 1:
+        return []  # the gain below is that of one liquid, and gaps open between liquids apart
     if chosen & scene.accuracy.model_fields_set or obstacles(scene, plan.groups, plan.phases):
         return []
     return [
