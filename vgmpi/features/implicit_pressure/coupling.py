@@ -58,7 +58,7 @@ class ImplicitPressure(ActiveFeature):
         inside = ((index >= 0) & (index < self.plan.cells)).all(2)
         cells = cells._replace(region=cells.region & inside, counted=cells.counted & inside)
         self.solver.set_topology(tables.coordinates, cells, counting_owner(tables, rank))
-        if self.colliders is not None:
+        if self.colliders is not None and self.ranks.size > 1:
             if self.node_exchange is not None:
                 self.node_exchange.link.close()
             topology = cell_topology(tables, census, self.lattice, rank, NODES_OF_PATCH)
@@ -95,17 +95,10 @@ class ImplicitPressure(ActiveFeature):
             gravity: Acceleration, shape (3,) [m/s2].
         """
         fields, plan, dt, solver = self.fields, self.plan, span.dt, self.solver
-        level, lattice, velocity, walls = (
-            solver.level,
-            solver.lattice,
-            nodes.velocities,
-            nodes.walls,
-        )
-        bodies = self._pushed_bodies()
-        colliders, liquids = (
-            self._colliders_at(nodes, bodies),
-            self.liquids.rows_in(nodes.fields, dt),
-        )
+        level, lattice = solver.level, solver.lattice
+        velocity, walls = nodes.velocities, nodes.walls
+        bodies, liquids = self._pushed_bodies(), self.liquids.rows_in(nodes.fields, dt)
+        colliders = self._colliders_at(nodes, bodies)
         cells, wet = self._set_system(nodes, colliders, liquids, dt)
         if bodies is not None:
             solver.bodies = self._begin_response(nodes, colliders, bodies, dt, gravity)

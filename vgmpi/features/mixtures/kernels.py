@@ -34,7 +34,7 @@ class MixtureStage(NamedTuple):
     """Stage of phases that share space."""
 
     flux: np.ndarray  # (node blocks, 256) volume flux [m/s] and fluid fraction (out), or no rows
-    drift: np.ndarray  # (node blocks, 256) [m/s] drift (out), or no rows if none is kept apart
+    drift: np.ndarray  # (node blocks, 256) [m/s] drift (out); any array if none is kept apart
     tables: tuple  # MixtureTables
 
 

@@ -11,7 +11,6 @@ from vgmpi.planning.feature_plan import FeaturePlan, PlanDraft
 from vgmpi.planning.phases_and_groups import GroupPlan
 from vgmpi.planning.step_costs import ProximityCost, StepCosts
 from vgmpi.scene.scene import Scene
-from vgmpi.scene.scene_feature import features
 
 from .rules import InteractionRules, interaction_rules, with_slip_wave_factors
 
@@ -106,8 +105,11 @@ class MixturesPlan(FeaturePlan):
         from .kernels import MixtureStage
         from .workspace import mixture_tables
 
-        none = np.zeros((0, 256), next(iter(nodes.values())).dtype)
-        flux, drift = nodes.get(FLUX, none), nodes.get(DRIFT, none)
+        if self.finds_volumes:
+            flux = nodes[FLUX]
+        else:
+            flux = np.zeros((0, 256), next(iter(nodes.values())).dtype)
+        drift = nodes[DRIFT] if self.drifts else flux
         return MixtureStage(flux, drift, mixture_tables(self.rules))
 
     def start(self, context: Any) -> Any:
@@ -171,7 +173,7 @@ def plan_mixtures(draft: PlanDraft) -> tuple[MixturesPlan | None, PlanDraft]:
         and coupling.diffusivity > 0
         and used.issuperset(coupling.between)
     ]
-    finds_volumes = not any(feature.removes_wave_bound(scene) for feature in features())
+    finds_volumes = not scene.is_free_of_waves
     return MixturesPlan(rules, bounds, cell, finds_volumes), draft._replace(groups=groups)
 
 

@@ -47,23 +47,24 @@ momentum.stress_by_moments.register(ImpulsesWithoutPressure)(
 
 
 @static_dispatch
-def current_ratio(kind, law, state):
-    """Return the volume of 16 particles over that at rest.
+def current_volume(kind, law, state, volume):
+    """Return the volumes that 16 particles fill.
 
     Args:
         kind: Contribution kind.
         law, state: Material parameters, and state of the particles.
+        volume: Their rest volumes.
     """
 
 
-@current_ratio.register(Impulses)
-def _(kind, law, state):
-    return volume_ratio(law, state)
+@current_volume.register(Impulses)
+def _(kind, law, state, volume):
+    return volume * volume_ratio(law, state)
 
 
-@current_ratio.register(ImpulsesWithoutPressure)
-def _(kind, law, state):
-    return 1.0 + 0.0 * volume_ratio(law, state)
+@current_volume.register(ImpulsesWithoutPressure)
+def _(kind, law, state, volume):
+    return volume
 
 
 def kind(plan, group) -> Impulses | ImpulsesWithoutPressure:
@@ -105,7 +106,7 @@ def _impulses(kind, law, count, offset, cap, f, extra, peak, records, dt):
         t00, t11, t22 = momentum.stress_by_moments(kind, t00, t11, t22)
         volume = load(f, p + VOLUME * cap)
         k, over_pores = -four * volume, broadcast(f, 1.0)
-        current_volume = volume * current_ratio(kind, law, state) if kind.counted > 0.0 else zero
+        filled = current_volume(kind, law, state, volume) if kind.counted > 0.0 else zero
         if porosity >= 0:
             pore_fraction = load(f, p + porosity * cap)
             k = k / pore_fraction
@@ -117,7 +118,7 @@ def _impulses(kind, law, count, offset, cap, f, extra, peak, records, dt):
             records,
             16 * n,
             (
-                zero, zero, zero, current_volume, k * t00, a, b, zero,
+                zero, zero, zero, filled, k * t00, a, b, zero,
                 a, k * t11, c, zero, b, c, k * t22, zero,
             ),
         )  # fmt: skip
