@@ -199,27 +199,24 @@ def part_of_row(r, q, liquids):
 
 
 @always_inline
-def set_parts(b, liquids, velocity, level):
-    """Set `parts` of the rows of a block.
+def set_parts(b, q, fill, liquids, velocity):
+    """Set `parts` of the rows of a block at a node, and return the response of its liquids.
 
     Args:
-        b: The block.
-        liquids: LiquidRows (parts out).
-        velocity: See `filled_part`.
-        level: LevelFields with the response of the liquids as `inverse`.
+        b, q, liquids, velocity: See `filled_part`.
+        fill: Result of `filled_part`, not 0.
     """
-    first, last = liquids.first[b], liquids.first[b + 1]
-    for r in range(first, last):
-        for q in range(64):
-            response = level.inverse[192 * b + q]
-            part = response - response
-            if response > 0:
-                if last - first == 1:
-                    part = response / response
-                else:
-                    fill = filled_part(b, q, liquids, velocity)
-                    part = _response_of_row(r, b, q, fill, liquids, velocity) / response
-            liquids.parts[64 * r + q] = part
+    total = fill - fill
+    for r in range(liquids.first[b], liquids.first[b + 1]):
+        amount, response = volume_of_row(r, q, liquids, velocity), fill - fill
+        if amount > 0:
+            response = _response_of_row(r, b, q, fill, liquids, velocity)
+            total += amount / fill * response
+        liquids.parts[64 * r + q] = response
+    for r in range(liquids.first[b], liquids.first[b + 1]):
+        if total > 0:
+            liquids.parts[64 * r + q] /= total
+    return total
 
 
 class Liquids:

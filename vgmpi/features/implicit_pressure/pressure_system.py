@@ -48,7 +48,6 @@ from .liquid_rows import (
     filled_part,
     mean_velocity,
     part_of_row,
-    response_of_liquids,
     set_parts,
 )
 
@@ -126,24 +125,26 @@ def set_nodes(rows, liquids, velocity, fields, level):
                     level.inverse[192 * b + 64 * a + q] = response
                 fields.fill[64 * b + q] = fill
                 fields.guess[64 * b + q] = per_volume * liquids.pressures[first, 4 * q + 3]
+                if len(liquids.parts) > 0:
+                    liquids.parts[64 * first + q] = zero if is_light else unity
         else:
             for q in range(64):
                 fill = filled_part(b, q, liquids, velocity)
                 response, guess = zero, zero
                 if fill > MIN_NODE_FILL:
-                    response = response_of_liquids(b, q, fill, liquids, velocity)
+                    response = set_parts(b, q, fill, liquids, velocity)
                 for a in range(3):
                     mean = mean_velocity(b, q, a, fill, liquids, velocity)
                     level.u[192 * b + 64 * a + q] = per_length * mean if response > 0 else zero
                     level.inverse[192 * b + 64 * a + q] = response
                 for r in range(first, last):
                     guess += liquids.pressures[r, 4 * q + 3]
+                    if not response > 0:
+                        liquids.parts[64 * r + q] = zero
                 fields.fill[64 * b + q], fields.guess[64 * b + q] = fill, per_volume * guess
         for q in range(64 * b, 64 * b + 64):
             fields.free_part[q] = fields.share[q] = unity
             fields.empty[q] = zero
-        if len(liquids.parts) > 0:
-            set_parts(b, liquids, velocity, level)
 
 
 @kernel
