@@ -198,20 +198,6 @@ sampling_rate = "100 Hz"
 """
 
 
-@pytest.fixture(scope="module")
-def liquids(tmp_path_factory):
-    return run_on_one_rank(tmp_path_factory.mktemp("liquids"), LIQUIDS)
-
-
-@RANKS_AND_THREADS
-def test_several_liquids_on_any_ranks_and_threads(liquids, tmp_path, start, ranks, flags):
-    assert_same_files(*liquids, tmp_path / "out", start, ranks, *flags)
-
-
-def test_several_liquids_after_a_restart(liquids, tmp_path):
-    assert_same_after_stop(*liquids, tmp_path / "out", 9)
-
-
 # oil that sticks to a paddle and slips on a post, over a thin floor with air below
 ADHESION = (
     SCENE.replace("PRECISION", "single")
@@ -234,32 +220,30 @@ STUCK = ADHESION[: ADHESION.index("[[probe]]")].replace(
 ).replace("slip_length = 0.01", "slip_length = 0")  # fmt: skip
 
 
-@pytest.fixture(scope="module", params=[ADHESION, STUCK], ids=["explicit viscosity", "implicit"])
-def sticking(request, tmp_path_factory):
-    return run_on_one_rank(tmp_path_factory.mktemp("sticking"), request.param)
+# by name: the scene, and the step after which it stops and goes on
+SCENES = {
+    "several liquids": (LIQUIDS, 9),
+    "adhesion": (ADHESION, 11),
+    "adhesion with implicit viscosity": (STUCK, 11),
+    "bodies and walls": (BODIES, 9),
+}
+
+
+@pytest.fixture(scope="module", params=SCENES)
+def scene_of(request, tmp_path_factory):
+    text, stop = SCENES[request.param]
+    return run_on_one_rank(tmp_path_factory.mktemp("scene"), text), stop
 
 
 @RANKS_AND_THREADS
-def test_adhesion_on_any_ranks_and_threads(sticking, tmp_path, start, ranks, flags):
-    assert_same_files(*sticking, tmp_path / "out", start, ranks, *flags)
+def test_scenes_on_any_ranks_and_threads(scene_of, tmp_path, start, ranks, flags):
+    run, _ = scene_of
+    assert_same_files(*run, tmp_path / "out", start, ranks, *flags)
 
 
-def test_adhesion_after_a_restart(sticking, tmp_path):
-    assert_same_after_stop(*sticking, tmp_path / "out", 11)
-
-
-@pytest.fixture(scope="module")
-def bodies(tmp_path_factory):
-    return run_on_one_rank(tmp_path_factory.mktemp("bodies"), BODIES)
-
-
-@RANKS_AND_THREADS
-def test_bodies_and_walls_on_any_ranks_and_threads(bodies, tmp_path, start, ranks, flags):
-    assert_same_files(*bodies, tmp_path / "out", start, ranks, *flags)
-
-
-def test_bodies_and_walls_after_a_restart(bodies, tmp_path):
-    assert_same_after_stop(*bodies, tmp_path / "out", 9)
+def test_scenes_after_a_restart(scene_of, tmp_path):
+    run, stop = scene_of
+    assert_same_after_stop(*run, tmp_path / "out", stop)
 
 
 def test_ranks_without_nodes_on_a_separating_wall(tmp_path):
