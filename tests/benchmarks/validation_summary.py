@@ -40,6 +40,13 @@ SUMMARY = (
         "De Courcy et al. 2024 (incompressible SPH)",
     ),
     Effect(
+        "Sloshing", "Liquids beside published data", "deep tank that is moved to and fro",
+        (("sloshing in a deep tank: time of the s*implicit pressure",
+          "crests off by {error} in time"),
+         ("sloshing in a deep tank: s* crest*implicit pressure", "by {error} in height")),
+        "Faltinsen et al. 2000 (experiment)",
+    ),
+    Effect(
         "Gravity waves", "Liquids", "standing wave in a tank",
         (
             ("sloshing: period, ?0 cells", "period off by {error}"),
