@@ -70,6 +70,12 @@ between = ["water", "oil"]
 diffusivity = 1e-3
 """
 
+SEEPAGE = """
+[[coupling]]
+kind = "drag"
+between = ["water", "sand"]
+hydraulic_conductivity = 1e-2
+"""
 RUBBING = """
 [[coupling]]
 kind = "contact"
@@ -93,9 +99,19 @@ def refusal(tmp_path, text):
             "slip lengths of bodies",
             SCENE.replace('kind = "fluid"', 'kind = "fluid"\nviscosity = 1', 1) + BLOCK,
         ),
-        ("material.sand.kind", "materials that are no fluid", SCENE + SAND),
+        (
+            "material.sand.kind",
+            "materials that are no fluid",
+            SCENE.replace("[domain]", 'elasticity = "explicit"\n[domain]') + SAND,
+        ),
+        ("coupling.0.kind", "couplings of kind 'drag'", SCENE + SAND + SEEPAGE),
+        (
+            "accuracy.pressure",
+            "scenes without a liquid",
+            SCENE[: SCENE.index("[material.water]")] + SAND,
+        ),
         ("coupling.0.kind", "couplings of kind 'mixing-versagauss'", SCENE + OIL + PUBLISHED),
-        ("coupling.0.friction", "friction between liquids", SCENE + OIL + RUBBING),
+        ("coupling.0.friction", "friction of liquids", SCENE + OIL + RUBBING),
         (
             "material.oil.density",
             "liquids that are more than 10,000 times as heavy as others",
@@ -181,3 +197,22 @@ def test_a_hydrostatic_start_adds_no_mass(tmp_path):
     explicit = still.replace("implicit", "explicit")
     more = build_scene(vgmpi.load(tmp_path / "explicit.toml", text=explicit))
     assert more.vol0.sum() > 1.0001 * plain.vol0.sum()
+
+
+@pytest.mark.parametrize(
+    "key, feature",
+    [
+        ("pinned = { box = [[0, 0, 0.2], [0.1, 0.1, 0.22]] }", "pinned parts"),
+        (
+            'motion = { keyframes = [{ time = "0.1 s", translation = [0.1, 0, 0] }] }',
+            "bodies of particles that are moved",
+        ),
+    ],
+)
+def test_what_an_implicit_elasticity_is_not_for(tmp_path, key, feature):
+    """It stands alone here: an implicit pressure refuses the same first."""
+    text = SCENE[: SCENE.index("[[object]]")].replace("pressure", "elasticity")
+    text += SAND.replace("sand", "rubber").replace('kind = "rubber"', 'kind = "elastic"')
+    message = refusal(tmp_path, text + key)
+    assert f"object.heap.{key.split()[0]}: accuracy.elasticity = 'implicit' is not for" in message
+    assert feature in message

@@ -104,7 +104,9 @@ def test_tables_are_those_of_the_whole(ranks, apart):
     costs = np.ones(2)
     if apart is not None:
         pair = ~np.eye(2, dtype=bool)
-        apart = exchange_topology.StressProximity(pair, pair, np.ones(2, bool), everywhere=False)
+        apart = exchange_topology.StressProximity(
+            pair, pair, np.ones(2, bool), everywhere=np.zeros(2, bool)
+        )
     needs = exchange_topology.TopologyRequirements(np.array([0, 1]), True, apart or False)
     whole, _ = block_ownership.build_block_directory(
         rows, LATTICE, SerialCommunicator(), costs, None, 0

@@ -220,12 +220,73 @@ STUCK = ADHESION[: ADHESION.index("[[probe]]")].replace(
 ).replace("slip_length = 0.01", "slip_length = 0")  # fmt: skip
 
 
+# a ball and a plank of rubber that float, meet each other, a rigid body and a post, and a block of
+# snow on a separating wall: ranks have water at nodes whose solids are another rank's
+SOLIDS = """
+[domain]
+size = [0.48, 0.16, 0.40]
+cell = 0.02
+boundary = { default = "slip", bottom = { kind = "separate", friction = 0.4 } }
+[time]
+end = 0.12
+frames = 3
+[accuracy]
+pressure = "implicit"
+[material.water]
+kind = "fluid"
+max_speed = 2
+[material.rubber]
+kind = "elastic"
+density = 400
+youngs_modulus = "0.1 MPa"
+[material.snow]
+kind = "snow"
+density = 400
+youngs_modulus = "60 kPa"
+[[object]]
+name = "pool"
+material = "water"
+subtract = true
+velocity = [0.5, 0, 0]
+shape = { box = [[0, 0, 0], [0.4, 0.16, 0.14]] }
+[[object]]
+name = "ball"
+material = "rubber"
+velocity = [0, 0, -1]
+shape = { sphere = { center = [0.12, 0.08, 0.19], radius = 0.045 } }
+[[object]]
+name = "plank"
+material = "rubber"
+velocity = [-1, 0, 0]
+shape = { box = [[0.18, 0.04, 0.12], [0.28, 0.12, 0.17]] }
+[[object]]
+name = "block"
+material = "rubber"
+rigid = true
+shape = { box = [[0.3, 0.04, 0.06], [0.36, 0.12, 0.18]] }
+[[object]]
+name = "heap"
+material = "snow"
+shape = { box = [[0.42, 0, 0], [0.48, 0.16, 0.1]] }
+[[object]]
+name = "post"
+role = "scenery"
+collider = true
+shape = { cylinder = { endpoints = [[0.05, 0.1, -0.1], [0.05, 0.1, 0.5]], radius = 0.03 } }
+[[probe]]
+name = "floor"
+wall = "bottom"
+sampling_rate = "100 Hz"
+"""
+
+
 # by name: the scene, and the step after which it stops and goes on
 SCENES = {
     "several liquids": (LIQUIDS, 9),
     "adhesion": (ADHESION, 11),
     "adhesion with implicit viscosity": (STUCK, 11),
     "bodies and walls": (BODIES, 9),
+    "deformable solids": (SOLIDS, 11),
 }
 
 

@@ -2,9 +2,9 @@
 
 A step calls, in the order of `Simulation.features`,
 
-    begin_step; push_particles; [particles to grid, exchange, grid update]; couple_nodes;
-    end_coupling; [grid to particles]; end_step; request; [maxima over all ranks]; failure;
-    adjust_bounds; needs_sort
+    begin_step; push_particles; [particles to grid, exchange]; filter_stress; [grid update];
+    couple_nodes; end_coupling; [grid to particles]; end_step; request; [maxima over all ranks];
+    failure; adjust_bounds; needs_sort
 
 A sort calls place, the feature with blocks (where it has `phases`), set_topology and
 find_particles. The start of a run calls initial_particles and begin_run, a restart restore.
@@ -117,6 +117,34 @@ class PushedBodies(Protocol):
         """Give them impulses and moments about their centers, (m, 6) [kg m/s], [kg m2/s]."""
 
 
+class DeformableSolid(Protocol):
+    """Phase of solids whose nodes answer to impulses together, in a step of the grid.
+
+    Attributes:
+        phase: The phase.
+        rows: Rows of its blocks among the node blocks of the rank, shape (n,).
+        block_of: Rows of its blocks among the blocks of the rank, shape (n,).
+        is_attached: 1 for nodes at which impulses reach the solid, flat, 64 of a block.
+        loose: 1 for the directions in which no wall holds a node, flat, 192 of a block.
+        mass_of_cell: Mass of a full cell [kg].
+    """
+
+    phase: int
+    rows: np.ndarray
+    block_of: np.ndarray
+    is_attached: np.ndarray
+    loose: np.ndarray
+    mass_of_cell: float
+
+    def answer(self, impulses: np.ndarray) -> np.ndarray:
+        """Return the changes of velocity by impulses, a symmetric operator. Collective.
+
+        Args:
+            impulses: Per mass of a full cell, flat, 192 of a block, axis after axis, and the row
+                of no block.
+        """
+
+
 class ActiveFeature:
     """Feature of a run on one rank. Methods are collective; every one does nothing by default.
 
@@ -127,6 +155,9 @@ class ActiveFeature:
         pushed_bodies: Free bodies that features which act before it may push, or None.
         attaches_to_bodies: Whether it attaches nodes to free rigid bodies: it has `find_contacts`.
         phases: Phases whose fields it needs near its blocks, shape (phases,) bool.
+        filters_impulses: Whether it has `filter_stress`.
+        deformable_solids: Phases of solids that answer to impulses at their nodes for features
+            which act after it, or none.
         couples_nodes: Whether it has `couple_nodes`.
         has_request: Whether it has `request`.
         is_fixed: Whether the blocks near it stay the same, so that a sort may reuse the tables.
@@ -141,6 +172,8 @@ class ActiveFeature:
     pushed_bodies: PushedBodies | None = None
     attaches_to_bodies = False
     phases = np.zeros(0, bool)
+    filters_impulses = False
+    deformable_solids: Sequence[DeformableSolid] = ()
     couples_nodes = False
     has_request = False
     is_fixed = True
@@ -278,6 +311,14 @@ class ActiveFeature:
     def push_particles(self, span: StepSpan) -> float:
         """Change velocities before a step; return a bound [m/s] of what it adds, also by motion."""
         return 0.0
+
+    def filter_stress(self, nodes: NodeState, span: StepSpan) -> None:
+        """Change the separate stress impulses before they act.
+
+        Args:
+            nodes: Nodes of the rank; the velocities are those of momentum and gravity alone.
+            span: The step.
+        """
 
     def couple_nodes(self, nodes: NodeState, span: StepSpan, gravity: np.ndarray) -> None:
         """Change the velocities of nodes after all that acts at each node alone.

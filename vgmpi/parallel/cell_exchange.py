@@ -32,6 +32,7 @@ class CellTopology(NamedTuple):
     counted: np.ndarray  # (n, 64) bool, those of them that no lower rank computes
     sends: dict[int, np.ndarray]  # rank -> flat indices of the cells to send
     receives: dict[int, np.ndarray]  # rank -> flat indices of the cells to receive
+    size: int  # flat indices from here on are those of no block
 
 
 def _spread_along(values: np.ndarray, axis: int, reach: Reach) -> np.ndarray:
@@ -74,11 +75,11 @@ def cell_topology(
         reach: CELLS_OF_PATCH or NODES_OF_PATCH.
     """
     count = len(tables.coordinates)
-    if not count:
-        none = np.zeros((0, 64), bool)
-        return CellTopology(np.zeros((0, 27), np.int64), none, none, {}, {})
     block = lattice.block(census.code)
     own = block[census.owner == rank]
+    if not len(own):
+        none = np.zeros((0, 64), bool)
+        return CellTopology(np.zeros((0, 27), np.int64), none, none, {}, {}, 0)
     low = own.min(0) - MARGIN
     shape = tuple(own.max(0) + MARGIN + 1 - low)
     row_of = np.full(shape, count)
@@ -101,9 +102,9 @@ def cell_topology(
 
     def _marks_of(cells: np.ndarray) -> np.ndarray:
         """Return True for cells on the map, shape (n, 64)."""
-        marks = np.zeros((count, 64), bool)
+        marks = np.zeros((count + 1, 64), bool)  # the last row is that of no block
         marks.reshape(-1)[_index_of(cells)] = True
-        return marks
+        return marks[:count]
 
     mine = _map_of(own)
     counted = mine.copy()
@@ -119,7 +120,71 @@ def cell_topology(
             sends[int(other)] = _index_of(sent)
         if received.any():
             receives[int(other)] = _index_of(received)
-    return CellTopology(neighbors, _marks_of(mine), _marks_of(counted), sends, receives)
+    return CellTopology(
+        neighbors, _marks_of(mine), _marks_of(counted), sends, receives, 64 * count
+    )  # fmt: skip
+
+
+class PhaseTopology(NamedTuple):
+    """Blocks of nodes of a phase that the particles of a rank reach."""
+
+    rows: np.ndarray  # (n,) row of each among the node blocks of the rank
+    block_of: np.ndarray  # (n,) row of each among the blocks of the rank
+    block: np.ndarray  # (n, 3) block coordinates
+    nodes: CellTopology  # their nodes, one number of each
+    vectors: CellTopology  # the same with three numbers, axis after axis
+
+
+def phase_topology(
+    tables: ExchangeTopology, census: BlockDirectory, lattice: BlockLattice, rank: int, phase: int,
+    is_own_group: np.ndarray,
+) -> PhaseTopology:  # fmt: skip
+    """Return the nodes of a phase.
+
+    Args:
+        tables: Topology of this rank.
+        census: Segments of this rank and nearby ones.
+        lattice: Lattice of the blocks.
+        rank: This rank.
+        phase: The phase.
+        is_own_group: Whether each group is of the phase, shape (groups,) bool.
+    """
+    own = is_own_group[census.group]
+    census = census._replace(
+        code=census.code[own], group=census.group[own], owner=census.owner[own]
+    )
+    block_of = np.repeat(np.arange(len(tables.coordinates)), np.diff(tables.first))
+    is_reached = blocks_around(lattice.block(census.code[census.owner == rank]),
+                               tables.coordinates[block_of])  # fmt: skip
+    rows = np.flatnonzero((tables.phase == phase) & is_reached)
+    block = tables.coordinates[block_of[rows]]
+    nodes = cell_topology(tables._replace(coordinates=block), census, lattice, rank, NODES_OF_PATCH)
+    vectors = nodes._replace(
+        sends={rank: of_axes(index) for rank, index in nodes.sends.items()},
+        receives={rank: of_axes(index) for rank, index in nodes.receives.items()},
+        size=3 * nodes.size,
+    )
+    return PhaseTopology(rows, block_of[rows], block, nodes, vectors)
+
+
+def blocks_around(blocks: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return which of other blocks (m, 3) are at most one block from some blocks (n, 3)."""
+    if not len(blocks):
+        return np.zeros(len(others), bool)
+    neighbors = (blocks[:, None] + NEIGHBORS).reshape(-1, 3)
+    low = neighbors.min(0)
+    shape = neighbors.max(0) + 1 - low
+    is_near = np.zeros(tuple(shape + 1), bool)  # the last place is that of all blocks far away
+    is_near[tuple((neighbors - low).T)] = True
+    place = others - low
+    place = np.where(((place >= 0) & (place < shape)).all(1)[:, None], place, shape)
+    return is_near[tuple(place.T)]
+
+
+def of_axes(index: np.ndarray) -> np.ndarray:
+    """Return the places of three numbers of nodes, given those of one number of each (n,)."""
+    first = 192 * (index // 64) + index % 64
+    return (first[:, None] + np.array([0, 64, 128])).reshape(-1)
 
 
 class CellExchange:
@@ -135,6 +200,11 @@ class CellExchange:
         """
         self.sends = [(index, np.zeros(len(index), real)) for index in cells.sends.values()]
         self.receives = [(index, np.zeros(len(index), real)) for index in cells.receives.values()]
+        # what another rank knows and this one has no block for is left out
+        self.valid = [np.flatnonzero(index < cells.size) for index, _ in self.receives]
+        self.places = [
+            index[valid] for (index, _), valid in zip(self.receives, self.valid, strict=True)
+        ]
         self.link: PersistentExchange = ranks.link(
             [(rank, part[1]) for rank, part in zip(cells.sends, self.sends, strict=True)],
             [(rank, part[1]) for rank, part in zip(cells.receives, self.receives, strict=True)],
@@ -153,5 +223,5 @@ class CellExchange:
             np.take(values, index, out=buffer)
         self.link.start()
         self.link.wait()
-        for index, buffer in self.receives:
-            values[index] = buffer
+        for (_, buffer), valid, place in zip(self.receives, self.valid, self.places, strict=True):
+            values[place] = buffer[valid]

@@ -68,7 +68,7 @@ class StressProximity(NamedTuple):
     share_space: np.ndarray  # (phases, phases) bool, True if the pair shares space
     contact: np.ndarray  # (phases, phases) bool, True if the pair needs volumes and offsets
     fluid: np.ndarray  # (phases,) bool
-    everywhere: bool  # True: separately everywhere, for all phases
+    everywhere: np.ndarray  # (phases,) bool, True: separately everywhere
 
 
 class FieldPlace(NamedTuple):
@@ -343,7 +343,7 @@ def _who_contributes(
         separate = needs.separates_stress
         close = _close(box, index, phase, int(needs.phase_of.max()) + 1)[:, index]
         sharing = (separate.share_space[phase].T & close).any(0) & separate.fluid[phase]
-        contributes["impulses"] = sharing | separate.everywhere
+        contributes["impulses"] = sharing | separate.everywhere[phase]
         wanted &= (separate.contact[phase].T & close).any(0) | near_solid
     if needs.planes:
         close_by = box.combine_with_neighbors(_at_plane(box.all_blocks, needs), np.logical_or)[

@@ -147,6 +147,10 @@ class FeaturePlan:
         """Return the names of the auxiliary nodal values that the particles of a group gather."""
         return ()
 
+    def has_gather_kind(self, group: Any) -> bool:
+        """Return whether the particles of a group have a `gather_kind` of its own."""
+        return bool(self.gathers(group))
+
     def gather_kind(self, group: Any, nodes: dict, dt: float, patch: int) -> Any:
         """Return the kernels/transfer/auxiliary_gather.py kind of such a group.
 

@@ -34,6 +34,7 @@ class WaveTerms(NamedTuple):
     min_porosity: float = 1.0  # [-] smallest initial porosity, for fluids that flow through sand
     density_ratio: float = 1.0  # [-] density relative to such sand's grains, at least 1
     added: float = 0.0  # [m2/s2] squared wave speed that such sand adds
+    on_grid: bool = False  # the grid slows its waves: a feature bounds the step by them
 
 
 class VolumeTerms(NamedTuple):
@@ -113,7 +114,7 @@ class GroupPlan(NamedTuple):
         """Return the squared wave speed in the initial pores [m2/s2], given the law's `wave2`."""
         terms = self.wave
         in_pores = 1.0 + (1.0 / terms.min_porosity - 1.0) * terms.density_ratio
-        return wave2 * terms.factor * in_pores + terms.added
+        return 0.0 if terms.on_grid else wave2 * terms.factor * in_pores + terms.added
 
 
 @lru_cache(maxsize=64)

@@ -25,8 +25,8 @@ from .sections import SECTIONS
 FEATURES = (
     "mixtures", "color_transfer", "flip",
     "wave_zones", "loads", "moving_colliders", "surface_slip", "implicit_viscosity",
-    "implicit_pressure", "pinned_parts", "rigid_bodies", "prescribed_motion", "reactions",
-    "inlets_outlets", "releases", "thin_walls", "shifting",
+    "implicit_elasticity", "implicit_pressure", "pinned_parts", "rigid_bodies",
+    "prescribed_motion", "reactions", "inlets_outlets", "releases", "thin_walls", "shifting",
 )  # fmt: skip
 
 Errors = list[tuple[tuple, str]]  # (path of a key, message)

@@ -211,7 +211,9 @@ class Simulation:
         speed = sum(feature.push_particles(span) for feature in features.values())
         gravity = self._gravity_in(span)
         engine.begin(dt, gravity, self.particle_maxima.fastest(self.plan, dt, speed))
-        self._update_grid(self.exchange.halo)  # x, v, C, state at n -> nodal velocities at n + 1
+        self._update_grid(
+            self.exchange.halo, span
+        )  # x, v, C, state at n -> nodal velocities at n + 1
         self._couple_nodes(span, gravity)
         report = engine.gather(self.step)  # v, C, x, state at n + 1
         report.overflows.extend(overflows)
@@ -282,7 +284,7 @@ class Simulation:
             self.clock("g2p")
         return overflows
 
-    def _update_grid(self, halo: HaloExchange | None) -> None:
+    def _update_grid(self, halo: HaloExchange | None, span: StepSpan | None = None) -> None:
         """Transfer x, v, C and the state at n to the grid, exchange sums, find nodal velocities.
 
         They include the stress at n over dt (without a pressure that features find), gravity,
@@ -290,6 +292,7 @@ class Simulation:
         """
         engine, mark = self.engine, self.clock or (lambda name: None)
         assert halo is not None  # particles were inserted
+        filters = [each for each in self.features.values() if span and each.filters_impulses]
         engine.fill(border=True)
         mark("p2g")
         halo.start(self.step, engine.pack)
@@ -297,12 +300,18 @@ class Simulation:
         engine.fill(border=False)
         mark("p2g")
         halo.link.progress()
-        engine.update(border=False)
+        if not filters:
+            engine.update(border=False)
         mark("grid")
         halo.link.wait()
         mark("wait")
         halo.finish(self.step, engine.add)
         mark("halo")
+        if span and filters:
+            nodes = engine.begin_impulses()
+            for feature in filters:
+                feature.filter_stress(nodes, span)
+            engine.update(border=False)
         engine.update(border=True)
         mark("grid")
         self.exchange.bytes_sent += halo.bytes_sent

@@ -6,6 +6,8 @@ and a second one the displacements that spread what crowds; particles take both 
 See docs/explanation/implicit-pressure.md.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from vgmpi.features.active_feature import ActiveFeature, NodeState, PushedBodies, StartContext
@@ -22,6 +24,15 @@ from .liquid_rows import LiquidRows, Liquids
 from .plan import DISPLACEMENT
 from .pressure_solver import PressureSolver
 from .pressure_system import INWARD_STEPS, ColliderNodes, pressure_fields
+from .solid_response import SolidResponse
+
+
+class SharedBlocks(NamedTuple):
+    """Blocks in which liquids share nodes with colliders or solids, shape (n,) each."""
+
+    colliders: np.ndarray  # near colliders
+    nodes: np.ndarray  # with nodes near colliders or of solids
+    cells: np.ndarray  # with cells around these nodes
 
 
 class ImplicitPressure(ActiveFeature):
@@ -39,6 +50,13 @@ class ImplicitPressure(ActiveFeature):
         kinds = np.array([kind for kind, _ in plan.walls.liquids]).reshape(3, 2)
         self.separating_walls = kinds == "separate"
         self.response: BodyResponse | None = None
+        deformable = [
+            solid for feature in self.features.values() for solid in feature.deformable_solids
+        ]
+        self.solids: SolidResponse | None = None
+        if deformable:
+            self.solids = SolidResponse(deformable, self.liquids.mass_of_cell, plan)
+            solver.solids = self.solids
         self.node_exchange: CellExchange | None = None  # of nodes around, where colliders are
 
     def set_topology(self, tables: ExchangeTopology, census: BlockDirectory) -> None:
@@ -58,7 +76,9 @@ class ImplicitPressure(ActiveFeature):
         inside = ((index >= 0) & (index < self.plan.cells)).all(2)
         cells = cells._replace(region=cells.region & inside, counted=cells.counted & inside)
         self.solver.set_topology(tables.coordinates, cells, counting_owner(tables, rank))
-        if self.colliders is not None and self.ranks.size > 1:
+        if self.solids is not None:
+            self.solids.set_topology(self.solver.lattice)
+        if (self.colliders is not None or self.solids is not None) and self.ranks.size > 1:
             if self.node_exchange is not None:
                 self.node_exchange.link.close()
             topology = cell_topology(tables, census, self.lattice, rank, NODES_OF_PATCH)
@@ -67,9 +87,15 @@ class ImplicitPressure(ActiveFeature):
         self.fields = pressure_fields(self.blocks, real)
         self.fields.region[: 64 * self.blocks] = cells.region.reshape(-1)
         self.liquids.set_topology(tables)
-        self.near_colliders = np.flatnonzero(tables.solid >= 0)
+        near_colliders = np.flatnonzero(tables.solid >= 0)
+        self.shared = SharedBlocks(near_colliders, near_colliders, near_colliders)
+        if self.solids is not None:
+            covered = np.concatenate([near_colliders, *self.solids.cells])
+            nodes = np.union1d(near_colliders, self.solids.blocks)
+            self.shared = SharedBlocks(near_colliders, nodes, np.unique(covered))
         if self.colliders is not None:  # they act on the liquid by the pressure
-            self.reserved_nodes = np.ones((len(tables.phase), 64), np.uint8)
+            is_liquid = self.liquids.rows.per_cell[tables.phase] > 0
+            self.reserved_nodes = np.repeat(is_liquid[:, None], 64, 1).astype(np.uint8)
         closed = self.solver.domain.closed
         is_beyond = ((index < 0) & closed[:, 0]) | ((index >= self.plan.cells) & closed[:, 1])
         self.outside = is_beyond.any(2).astype(real).reshape(-1)
@@ -100,6 +126,9 @@ class ImplicitPressure(ActiveFeature):
         bodies, liquids = self._pushed_bodies(), self.liquids.rows_in(nodes.fields, dt)
         colliders = self._colliders_at(nodes, bodies)
         cells, wet = self._set_system(nodes, colliders, liquids, dt)
+        if self.solids is not None:
+            assert solver.exchange is not None
+            self.solids.begin(fields, level, solver.exchange)
         if bodies is not None:
             solver.bodies = self._begin_response(nodes, colliders, bodies, dt, gravity)
         solver.solve(fields.phi)
@@ -119,16 +148,20 @@ class ImplicitPressure(ActiveFeature):
             boundaries.hold_at_separating_walls, self.separating, lattice, walls, liquids,
             fields, level, velocity, reaction,
         )  # fmt: skip
+        if self.solids is not None:
+            self.solids.add_velocities(velocity)
         scale = plan.real.type(1.0 / (dt * self.liquids.stiffness))
         solver.each(wet, pressure_system.store_node_pressure, lattice, scale, fields)
-        if len(self.near_colliders):
+        if self.solids is not None:
+            self.solids.stop_spray(liquids, fields, fields.solid)
+        if len(self.shared.colliders):
             nodes.call(
-                boundaries.stop_at_colliders, self.near_colliders, lattice, walls, liquids,
+                boundaries.stop_at_colliders, self.shared.colliders, lattice, walls, liquids,
                 colliders, fields, velocity, reaction,
             )  # fmt: skip
             if bodies is not None:
                 nodes.call(
-                    boundaries.reserve_nodes, self.near_colliders, liquids, colliders, fields,
+                    boundaries.reserve_nodes, self.shared.colliders, liquids, colliders, fields,
                     self.reserved_nodes,
                 )  # fmt: skip
         self._find_displacements(nodes, liquids, cells, wet)
@@ -151,12 +184,19 @@ class ImplicitPressure(ActiveFeature):
         )
         if self.node_exchange is not None:
             self.node_exchange.exchange(fields.fill)
+        if self.solids is not None:
+            self.solids.read_parts(nodes, fields)
+            if self.node_exchange is not None:
+                self.node_exchange.exchange(fields.solid)
         nodes.call(
-            pressure_system.share_nodes, self.near_colliders, lattice, nodes.walls, plan.dx,
+            pressure_system.share_nodes, self.shared.nodes, lattice, nodes.walls, plan.dx,
             colliders, fields, level,
         )  # fmt: skip
         guess_scale = plan.real.type(dt * self.liquids.stiffness)
-        solver.each(blocks, pressure_system.set_cells, lattice, guess_scale, fields, level)
+        has_solids = self.solids is not None
+        solver.each(
+            blocks, pressure_system.set_cells, lattice, guess_scale, has_solids, fields, level
+        )
         exchange.exchange(fields.filled)
         if self.separating_walls.any():
             exchange.exchange(fields.phi)
@@ -165,8 +205,8 @@ class ImplicitPressure(ActiveFeature):
                 nodes.velocities, fields, level,
             )  # fmt: skip
             nodes.call(
-                pressure_system.set_cells, self.beside_separating, lattice, guess_scale, fields,
-                level,
+                pressure_system.set_cells, self.beside_separating, lattice, guess_scale,
+                has_solids, fields, level,
             )  # fmt: skip
             exchange.exchange(fields.filled)
         self._spread_inward(nodes)
@@ -228,7 +268,7 @@ class ImplicitPressure(ActiveFeature):
 
     def _spread_inward(self, nodes: NodeState) -> None:
         """Let cells inside of colliders have pressure next to those that have it. Collective."""
-        if self.colliders is None:
+        if self.colliders is None and self.solids is None:
             return
         fields, solver, count = self.fields, self.solver, 64 * self.blocks
         assert solver.exchange is not None
@@ -236,7 +276,7 @@ class ImplicitPressure(ActiveFeature):
         solver.exchange.exchange(fields.covered)
         for _ in range(INWARD_STEPS):
             fields.cover[:] = fields.filled <= 0
-            rows, lattice = self.near_colliders, solver.lattice
+            rows, lattice = self.shared.cells, solver.lattice
             nodes.call(pressure_system.spread_inward, rows, lattice, fields, level)
             solver.exchange.exchange(fields.filled)
         is_dry = fields.filled[:count] <= 0

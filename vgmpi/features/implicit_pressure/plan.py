@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from vgmpi.kernels.reproducible_sums import next_power_of_two
-from vgmpi.materials.couplings.interaction import CONTACT, MIXING, PRESSURE
+from vgmpi.materials.couplings.interaction import CONTACT, DRAG, MIXING, PRESSURE
 from vgmpi.planning.feature_plan import FeaturePlan, PlanDraft
 from vgmpi.planning.phases_and_groups import GroupPlan, PhasePlan, VolumeTerms, WaveTerms
 from vgmpi.planning.plan import Plan, time_step_bounds
@@ -34,7 +34,8 @@ class ImplicitPressurePlan(FeaturePlan):
         """Take the groups whose pressure the grid finds, and the number of phases."""
         if phases > 1:
             is_liquid = np.isin(np.arange(phases), [group.phase for group in groups])
-            self.pair_rules = np.where(is_liquid[:, None] & is_liquid, PRESSURE, CONTACT)
+            self.pair_rules = np.where(is_liquid[:, None] | is_liquid, PRESSURE, CONTACT)
+            self.counts_volumes = not is_liquid.all()
 
     def particle_cost(self, group: GroupPlan, costs: StepCosts) -> StageCost | None:
         """Return what it costs per particle of a liquid.
@@ -117,9 +118,12 @@ def plan_implicit_pressure(draft: PlanDraft) -> tuple[ImplicitPressurePlan, Plan
             volume=VolumeTerms(separate_pressure=True),
             wave=WaveTerms(factor=0.0),
         )
+        if group.is_liquid
+        else group
         for group in draft.groups
     )
-    plan = ImplicitPressurePlan(groups, len(draft.phases))
+    liquids = [group for group in groups if group.is_liquid]
+    plan = ImplicitPressurePlan(liquids, len(draft.phases))
     return plan, draft._replace(groups=groups)
 
 
@@ -169,15 +173,20 @@ def obstacles(
     for name in dict.fromkeys(group.material for group in groups):
         material: Any = scene.material[name]
         if material.kind != "fluid":
-            _refuse(("material", name, "kind"), "materials that are no fluid")
+            if material.family == "fluid" or not any(g.wave.on_grid for g in groups):
+                _refuse(("material", name, "kind"), "materials that are no fluid")
         elif material.tension == "off":
             _refuse(("material", name, "tension"), "liquids without tension")
     for k, coupling in enumerate(scene.coupling):
-        if coupling.rule == MIXING and coupling.printed:
+        if coupling.rule == DRAG or (coupling.rule == MIXING and coupling.printed):
             _refuse(("coupling", k, "kind"), f"couplings of kind {coupling.kind!r}")
-        if coupling.rule == CONTACT and coupling.friction:
-            _refuse(("coupling", k, "friction"), "friction between liquids")
-    densities = {group.density: group.material for group in groups}
+        kinds = {scene.material[name].kind for name in coupling.between}
+        if coupling.rule == CONTACT and coupling.friction and "fluid" in kinds:
+            _refuse(("coupling", k, "friction"), "friction of liquids")
+    densities = {group.density: group.material for group in groups if group.is_liquid}
+    if not densities:
+        _refuse(("accuracy", "pressure"), "scenes without a liquid")
+        return wrong
     if max(densities) > MAX_CONTRAST * min(densities):
         name = densities[min(densities)]
         what = f"liquids that are more than {MAX_CONTRAST:,.0f} times as heavy as others"

@@ -25,6 +25,7 @@ from .body_response import BodyResponse
 from .kernels import multigrid, relaxation
 from .kernels.multigrid import WetRows
 from .kernels.relaxation import LevelFields, Sweeps, chebyshev_factors, level_fields
+from .solid_response import SolidResponse
 
 ITERATIONS = 4
 CYCLE_SWEEPS, LAST_SWEEPS = Sweeps(3, 0.3), Sweeps(16, 0.02)
@@ -143,6 +144,7 @@ class PressureSolver:
         lattice: Blocks of this rank, Lattice.
         level: Fields of the finest level: u, inverse, scale and residual are the system.
         bodies: Free bodies that answer to the pressure, or None.
+        solids: Deformable solids that do, or None.
     """
 
     def __init__(self, ranks: SerialCommunicator, domain: SystemDomain, real: np.dtype):
@@ -151,8 +153,8 @@ class PressureSolver:
         self.exchange: CellExchange | None = None
         self.coarse: CoarseLevels | None = None
         self.bodies: BodyResponse | None = None
+        self.solids: SolidResponse | None = None
         self.factors = np.array(chebyshev_factors(CYCLE_SWEEPS), real)
-        self.position_factors = np.array(chebyshev_factors(POSITION_SWEEPS), real)
 
     def set_topology(
         self, block: np.ndarray, cells: CellTopology, counted_nodes: np.ndarray
@@ -244,7 +246,7 @@ class PressureSolver:
     def find_moves(self) -> None:
         """Set u to the displacements of a system whose right-hand side is the residual."""
         self.level.correction[:] = 0
-        self._sweep_from_zero(self.position_factors)
+        self._sweep_from_zero(np.array(chebyshev_factors(POSITION_SWEEPS), self.real))
         self.respond(self.level.correction)
 
     def _multiply(self, potential: np.ndarray, product: np.ndarray) -> None:
@@ -253,6 +255,8 @@ class PressureSolver:
         self.each(self.cells, relaxation.multiply, self.lattice, product, self.level)
         if self.bodies is not None:
             self.bodies.add_product(potential, product)
+        if self.solids is not None:
+            self.solids.add_product(potential, product)
 
     def solve(self, phi: np.ndarray) -> None:
         """Bring phi nearer to the solution. Collective.
@@ -269,6 +273,8 @@ class PressureSolver:
         if self.bodies is not None:
             self.bodies.find_magnitude(phi)
         self._multiply(phi, self.product)
+        if self.solids is not None:
+            self.solids.begin_totals()
         residual -= product
         magnitude = self._prepare_levels(residual)
         if self.bodies is not None:
@@ -285,6 +291,8 @@ class PressureSolver:
             curvature = self._inner_product(direction, product, magnitude)
             length = self.real.type(now / curvature if curvature > 0 else 0.0)
             phi[:count] += length * direction
+            if self.solids is not None:
+                self.solids.add_to_totals(length)
             residual -= length * product
 
     def _prepare_levels(self, residual: np.ndarray) -> float:

@@ -61,6 +61,8 @@ MIN_SHARE = 1e-3  # [-] liquid that has less of a node does not respond: its vel
 # The part of a node that a face leaves is that of its tangent plane, moved by half the variance of
 # the spline, 1/4, times the curvature of the face: so convex bodies have their volume.
 CURVATURE_SHIFT, CURVED_DISTANCE = 0.125, 2.0  # [cells^2], [cells]
+MIN_PORE = 0.05  # [-] cells of solids in which liquid has less have no pressure
+MIN_MEETING_PART = 0.02  # [-] part of a node from which on a solid meets what else has some of it
 RESOLVED_SHARE = 0.5  # [-] where colliders leave less, liquid has no more than its volume
 MIN_PRESSURE, MAX_PRESSURE = -0.9, 15.0  # [-] of particles, relative to the Tait coefficient
 
@@ -79,6 +81,10 @@ class PressureFields(NamedTuple):
     empty: np.ndarray  # 1 for nodes next to colliders with next to no liquid, else 0
     excess: np.ndarray  # liquid of cells less what colliders leave
     covered: np.ndarray  # 1 for cells of which colliders leave next to nothing, else 0
+    solid: np.ndarray  # part of nodes that solids have by their volume
+    meeting: np.ndarray  # 1 for nodes at which solids meet each other
+    solid_part: np.ndarray  # the same so that all parts sum up to 1
+    solid_scale: np.ndarray  # ratio of the two
 
 
 class ColliderNodes(NamedTuple):
@@ -183,10 +189,10 @@ def hold_at_walls(rows, lattice, walls, fields, level):
 
 @kernel
 def share_nodes(rows, lattice, walls, dx, colliders, fields, level):
-    """Share the nodes of some blocks between liquids and colliders.
+    """Share the nodes of some blocks between liquids, colliders and deformable solids.
 
     Args:
-        rows: Blocks near colliders, shape (n,).
+        rows: Blocks near colliders and solids, shape (n,).
         lattice: Blocks, Lattice.
         walls: Walls of the domain.
         dx: Cell size [m].
@@ -204,29 +210,38 @@ def _share_block(b, lattice, walls, dx, colliders, fields, level):
     faces, min_fill = np.empty((27, 4)), EMPTY_PART * RESOLVED_SHARE
     real, row = fields.fill.dtype.type, colliders.row[b]
     for q in range(64):
-        distance = colliders.nodes[row, q, 3] / dx
-        is_free = len(colliders.body) > 0 and colliders.body[row, q] >= 0
+        distance = colliders.nodes[row, q, 3] / dx if row >= 0 else colliders.nodes.dtype.type(9.0)
+        is_free = row >= 0 and len(colliders.body) > 0 and colliders.body[row, q] >= 0
         is_thin = is_closed = False
-        if not is_free and CLOSED_DEPTHS[0] < -distance < CLOSED_DEPTHS[1]:
+        if row >= 0 and not is_free and CLOSED_DEPTHS[0] < -distance < CLOSED_DEPTHS[1]:
             count = find_faces(b, q, lattice, colliders, dx, fields.fill, min_fill, faces)
             is_thin = has_opposite_faces(count, faces)
             is_closed = is_thin and has_dry_side(count, faces)
-        if abs(distance) < CURVED_DISTANCE and not is_thin:
+        if row >= 0 and abs(distance) < CURVED_DISTANCE and not is_thin:
             distance += CURVATURE_SHIFT * curvature_at(b, q, lattice, colliders) / dx
         free_part = real(0.0 if is_closed else 1.0 - half_space_fraction(distance))
-        wet = fields.fill[64 * b + q]
+        wet, of_solids = fields.fill[64 * b + q], fields.solid[64 * b + q]
+        taken = real(1.0) - free_part + of_solids
+        free_part = max(free_part - of_solids, real(0.0))
         share = min(free_part, wet) if free_part < RESOLVED_SHARE else free_part
         if wet <= MIN_NODE_FILL or share < MIN_SHARE:
             share = real(0.0)
         fields.free_part[64 * b + q], fields.share[64 * b + q] = free_part, share
         is_empty = free_part >= RESOLVED_SHARE and wet < EMPTY_PART * free_part
-        fields.empty[64 * b + q] = real(is_empty)
+        touches = fields.meeting[64 * b + q] > 0 or (
+            row >= 0 and taken > of_solids > MIN_MEETING_PART
+        )
+        fields.empty[64 * b + q] = real(is_empty or touches)
         collider_share = real(1.0) - share if free_part < 1.0 else real(0.0)
+        if of_solids > 0:
+            fields.solid_scale[64 * b + q] = (real(1.0) - share) / taken
+            fields.solid_part[64 * b + q] = of_solids * fields.solid_scale[64 * b + q]
+            collider_share -= fields.solid_part[64 * b + q]
         for a in range(3):
             n = 192 * b + 64 * a + q
             level.inverse[n] *= share * share
             level.u[n] *= share
-            if is_free or len(colliders.moves) == 0:
+            if row < 0 or is_free or len(colliders.moves) == 0:
                 continue
             part = collider_share
             if is_held(b, q, a, lattice, walls):
@@ -249,13 +264,14 @@ def _share_beyond(b, q, axis, lattice, walls, dx, colliders):
 
 
 @kernel
-def set_cells(rows, lattice, guess_scale, fields, level):
+def set_cells(rows, lattice, guess_scale, has_solids, fields, level):
     """Find the cells of some blocks that hold liquid, and their right-hand side and first phi.
 
     Args:
         rows: Blocks to process, shape (n,).
         lattice: Blocks, Lattice.
         guess_scale: Factor of the nodes' guess [1/s].
+        has_solids: Whether deformable solids have parts of nodes.
         fields: PressureFields (in/out).
         level: LevelFields (in/out).
     """
@@ -265,6 +281,7 @@ def set_cells(rows, lattice, guess_scale, fields, level):
     scale, residual = pointer(level.scale), pointer(level.residual)
     correction, remainder = pointer(level.correction), pointer(level.remainder)
     free_part, empty = pointer(fields.free_part), pointer(fields.empty)
+    solid_part, liquid_part = pointer(fields.solid_part), pointer(fields.share)
     excess, covered = pointer(fields.excess), pointer(fields.covered)
     for b in rows:
         for x in range(4):
@@ -281,6 +298,10 @@ def set_cells(rows, lattice, guess_scale, fields, level):
             store(excess, c, fill - free)
             store(covered, c, select(is_covered & is_own, zero + 1.0, zero))
             borders_air = mean_of_nodes(empty, high, b, x) > zero
+            if has_solids:  # a solid feels no pressure within, and the system would be singular
+                part = mean_of_nodes(solid_part, high, b, x)
+                pore = mean_of_nodes(liquid_part, high, b, x)
+                borders_air = borders_air | ((part > zero + 0.5) & (pore < zero + MIN_PORE))
             may_hold = is_wet | (may_hold & is_covered & ~borders_air)
             store(scale, c, select(may_hold, 1.0 / select(may_hold, share, zero + 1.0), zero))
             store(residual, c, select(may_hold, zero - divergence(u, high, b, x), zero))

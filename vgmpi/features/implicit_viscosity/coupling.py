@@ -13,17 +13,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from vgmpi.features.active_feature import ActiveFeature, NodeState, StartContext
+from vgmpi.kernels.grid.phase_nodes import PhaseNodes, cells_of_patch
 from vgmpi.kernels.step_records import StepSpan
 from vgmpi.parallel.block_ownership import BlockDirectory
-from vgmpi.parallel.cell_exchange import NODES_OF_PATCH, CellExchange, cell_topology
+from vgmpi.parallel.cell_exchange import CellExchange, phase_topology
 from vgmpi.parallel.exchange_topology import ExchangeTopology
-from vgmpi.parallel.node_overlap import NEIGHBORS
 from vgmpi.planning.plan import Plan
 from vgmpi.runtime.aligned_arrays import aligned_zeros
 
 from .kernels import viscous_nodes, viscous_sweeps
-from .kernels.viscous_nodes import CollidersNearby, PhaseNodes
-from .kernels.viscous_sweeps import MAX_EIGENVALUE, cells_of_patch, viscous_fields
+from .kernels.viscous_nodes import CollidersNearby
+from .kernels.viscous_sweeps import MAX_EIGENVALUE, viscous_fields
 from .plan import ViscousLiquid
 
 FULL = 0.5  # [-] fill from which on a node counts as full: particles that move leave nodes uneven
@@ -100,28 +100,17 @@ class LiquidSystem:
 
     def set_topology(self, tables: ExchangeTopology, census: BlockDirectory) -> None:
         """Take new tables after a sort; see `ImplicitViscosity.set_topology`."""
-        own = self.is_own_group[census.group]
-        census = census._replace(
-            code=census.code[own], group=census.group[own], owner=census.owner[own]
-        )
         rank, real = self.ranks.rank, self.plan.real
-        block_of = np.repeat(np.arange(len(tables.coordinates)), np.diff(tables.first))
-        is_reached = blocks_around(self.lattice.block(census.code[census.owner == rank]),
-                             tables.coordinates[block_of])  # fmt: skip
-        rows = np.flatnonzero((tables.phase == self.liquid.phase) & is_reached)
-        block = tables.coordinates[block_of[rows]]
-        cells = cell_topology(
-            tables._replace(coordinates=block), census, self.lattice, rank, NODES_OF_PATCH
+        own = phase_topology(
+            tables, census, self.lattice, rank, self.liquid.phase, self.is_own_group
         )
-        self.nodes = PhaseNodes(rows, tables.solid[block_of[rows]], block, cells.region)
-        self.neighbors = cells.neighbors.reshape(-1)
+        rows = own.rows
+        self.nodes = PhaseNodes(rows, tables.solid[own.block_of], own.block, own.nodes.region)
+        self.neighbors = own.nodes.neighbors.reshape(-1)
         for exchange in self.exchanges:
             exchange.link.close()
-        vectors = cells._replace(
-            sends={rank: of_axes(index) for rank, index in cells.sends.items()},
-            receives={rank: of_axes(index) for rank, index in cells.receives.items()},
-        )
-        self.exchanges = tuple(CellExchange(self.ranks, each, real) for each in (cells, vectors))
+        kinds = own.nodes, own.vectors
+        self.exchanges = tuple(CellExchange(self.ranks, each, real) for each in kinds)
         self.near_colliders = np.flatnonzero(self.nodes.solid >= 0)
         count, is_held = len(rows), self.colliders is not None and len(self.near_colliders) > 0
         self.fields = viscous_fields(count, is_held and acts_along_normals(self.plan), real)
@@ -204,23 +193,3 @@ def sticking_colliders(plans: Sequence, phase: int) -> np.ndarray:
     if adhesion is None:
         return np.zeros(1, bool)
     return np.array(adhesion.lengths)[:, phase] == 0.0
-
-
-def blocks_around(blocks: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return which of other blocks (m, 3) are at most one block from some blocks (n, 3)."""
-    if not len(blocks):
-        return np.zeros(len(others), bool)
-    neighbors = (blocks[:, None] + NEIGHBORS).reshape(-1, 3)
-    low = neighbors.min(0)
-    shape = neighbors.max(0) + 1 - low
-    is_near = np.zeros(tuple(shape + 1), bool)  # the last place is that of all blocks far away
-    is_near[tuple((neighbors - low).T)] = True
-    place = others - low
-    place = np.where(((place >= 0) & (place < shape)).all(1)[:, None], place, shape)
-    return is_near[tuple(place.T)]
-
-
-def of_axes(index: np.ndarray) -> np.ndarray:
-    """Return the places of three numbers of nodes, given those of one number of each (n,)."""
-    first = 192 * (index // 64) + index % 64
-    return (first[:, None] + np.array([0, 64, 128])).reshape(-1)

@@ -59,7 +59,9 @@ class MixturesPlan(FeaturePlan):
         shares_space = same_mixture & (rules.mixture_set >= 0)[:, None] & ~is_same
         needs_contact = (rules.pair == CONTACT) & ~is_same
         needs_contact |= (rules.pair == MIXING) & rules.drifting[:, None]
-        return StressProximity(shares_space, needs_contact, rules.fluid, False)
+        return StressProximity(
+            shares_space, needs_contact, rules.fluid, np.zeros(len(rules.fluid), bool)
+        )
 
     def pair_cost(self, p: int, q: int, costs: StepCosts) -> tuple[str, ProximityCost] | None:
         """Return the name and the cost of the interaction of two phases that share space.

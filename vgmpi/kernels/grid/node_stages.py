@@ -25,6 +25,13 @@ class SeparatedStress(NamedTuple):
     adds_own: int  # whether other phases have some, which act on these alone
     kind: tuple  # kind of these stages
     scratch: tuple  # scratch of the calling thread for that kind
+    is_converted: int  # whether the nodes have velocities, and these impulses, before the update
+
+
+class NoStage(NamedTuple):
+    """Kind of runs in which no feature acts at these stages."""
+
+    unused: int = 0
 
 
 @static_dispatch
@@ -64,6 +71,21 @@ def after_walls(kind, block, has_impulses, fields, scratch, dx):
         scratch: Scratch of the calling thread.
         dx: Cell size [m].
     """
+
+
+@before_stress.register(NoStage)
+def _(kind, block, fields, push):
+    pass
+
+
+@after_stress.register(NoStage)
+def _(kind, block, fields, scratch, walls, phases, step):
+    pass
+
+
+@after_walls.register(NoStage)
+def _(kind, block, has_impulses, fields, scratch, dx):
+    pass
 
 
 @before_stress.register(Both)

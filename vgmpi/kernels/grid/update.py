@@ -82,14 +82,18 @@ def update(blocks, tables, summed, shear, stress, pair_rules, walls, phases, sol
     for b in blocks:
         n0, n1, has_impulses = first[b], first[b + 1], False
         set_block(scratch.reactions, b)
+        is_converted = stress is not None and stress.is_converted != 0
         for nb in range(n0, n1):
-            finalize_node_block(nb, rows, momentum_sums, report, 0)
             finalize_node_block(nb, rows, moments, report, 1)
-            if stress is not None:
-                finalize_node_block(nb, rows, impulse_sums, report, 2)
-                has_impulses |= impulse_sums.has_terms[nb] != 0
             if shear is not None:
                 finalize_node_block(nb, rows, shears, report, 2 if stress is None else 3)
+            if stress is not None:
+                has_impulses |= impulse_sums.has_terms[nb] != 0
+            if is_converted:
+                continue
+            finalize_node_block(nb, rows, momentum_sums, report, 0)
+            if stress is not None:
+                finalize_node_block(nb, rows, impulse_sums, report, 2)
             momentum_to_velocity(nb, nodes, push, NODE_MASS_FLOOR * cell_mass[phase_of[nb]])
         block = _context(b, n0, n1, tables, last)
         set_prescribed_velocity(block, nodes, phase_of, solids.motions, step.dx)
@@ -110,6 +114,28 @@ def update(blocks, tables, summed, shear, stress, pair_rules, walls, phases, sol
                        solids, scratch, step.dx)  # fmt: skip
         if stress is not None:
             after_walls(stress.kind, block, has_impulses, fields, stress.scratch, step.dx)
+
+
+@borrowing_kernel
+def convert_momentum(blocks, tables, momentum, impulses, phases, step, report):
+    """Convert the sums of momentum and stress impulses of some blocks, and find velocities.
+
+    It is the first part of `update`, for features that change the impulses before the second one.
+
+    Args:
+        blocks, tables: Blocks to process, node blocks of the rank.
+        momentum, impulses: Sums of momentum and of separate stress impulses (in/out).
+        phases, step, report: See `update`.
+    """
+    rows, momentum_sums, impulse_sums = blocks_at(tables), sums_at(momentum), sums_at(impulses)
+    cell_mass, first = pointer(phases.min_cell_mass), pointer(tables.first)
+    push = tile(step.gravity_increment, 0)
+    for b in blocks:
+        for nb in range(first[b], first[b + 1]):
+            finalize_node_block(nb, rows, momentum_sums, report, 0)
+            finalize_node_block(nb, rows, impulse_sums, report, 2)
+            tiny = NODE_MASS_FLOOR * cell_mass[rows.phase[nb]]
+            momentum_to_velocity(nb, momentum_sums.nodes, push, tiny)
 
 
 @device_function

@@ -221,6 +221,24 @@ def _(kind, trace):
     return trace
 
 
+class WavesOnGrid(NamedTuple):
+    """Kind of solids whose waves a feature slows: only motion bounds the steps of particles."""
+
+    wave_speed_squared: float  # [m2/s2] 0
+
+
+for _dispatch in (
+    load_patches, gather_batch, particle_velocity, max_velocity, advection_velocity,
+    velocity_gradient, displacement, bounded_volume_rate,
+):  # fmt: skip
+    _dispatch.register(WavesOnGrid)(_dispatch.table[VelocityOnly])
+
+
+@wave_speed_squared.register(WavesOnGrid)
+def _(kind, f, p, cap, wave2):
+    return kind.wave_speed_squared + 0.0 * wave2
+
+
 # ---- two kinds ----------------------------------------------------------------------------------
 
 

@@ -164,9 +164,17 @@ class CompiledEngine(KernelCaller):
             return self.correction is not None
         return bool(self.dt)
 
+    def begin_impulses(self) -> NodeState:
+        """Refuse: features that filter stress impulses need the CPU engine."""
+        raise NotImplementedError("no feature of this engine filters stress impulses")
+
     def begin_coupling(self) -> NodeState:
         """Convert the sums that only couplings read to numbers, and return the nodes."""
         self.layers.finalize_for_couplings(self.blocks, self.memory.overflow[0])
+        return self.node_state()
+
+    def node_state(self) -> NodeState:
+        """Return the nodes as they are."""
         return NodeState(
             self.layers["momentum"].nodes, self.layers, self.layers.gathered_nodes, self.tables,
             self.blocks,
@@ -190,7 +198,14 @@ class CompiledEngine(KernelCaller):
         if not self.layers.separates_stress:
             return None
         impulses, adds_own = self.layers["impulses"].tables, self.plan_tables.adds_own_stress
-        return SeparatedStress(impulses, shared, adds_own, stage, scratch)
+        return SeparatedStress(
+            impulses, shared, adds_own, stage, scratch, int(self.filters_impulses)
+        )  # fmt: skip
+
+    @property
+    def filters_impulses(self) -> bool:
+        """Return whether a feature changes the stress impulses of this step before the update."""
+        return bool(self.dt) and any(each.filters_impulses for each in self.features.values())
 
     @property
     def timeless_field(self) -> tuple[Sums | None, int]:

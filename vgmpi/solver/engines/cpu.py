@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from vgmpi.features.active_feature import carrier_of, reserved_nodes
+from vgmpi.features.active_feature import NodeState, carrier_of, reserved_nodes
 from vgmpi.kernels import reproducible_sums
 from vgmpi.kernels.grid import update
 from vgmpi.kernels.nodal_fields import carried_values
@@ -86,6 +86,18 @@ class Cpu(CompiledEngine):
         reproducible_sums.unpack(
             part.numbers, part.tails, part.blocks, part.masks, layer.sums, layer.bias,
             self.tables.phase,
+        )  # fmt: skip
+
+    def begin_impulses(self) -> NodeState:
+        """Convert momentum and stress impulses to numbers, and return the nodes."""
+        self.each(self._convert_momentum)
+        return self.node_state()
+
+    def _convert_momentum(self, thread: int) -> None:
+        self.call_if_rows(
+            (), update.convert_momentum, self.block_shares.all[thread], self.blocks,
+            self.layers["momentum"].tables, self.layers["impulses"].tables,
+            self.plan_tables.phases, self.step, self.memory.overflow[thread],
         )  # fmt: skip
 
     def update(self, border: bool) -> None:

@@ -4,8 +4,8 @@ A step calls, in this order:
 
     begin, fill(border), pack ... fill(inner), update(inner) ... add, update(border), gather
 
-With features that couple the nodes, `begin_coupling` and `end_coupling`
-come before `gather`.
+With features that filter stress impulses, `begin_impulses` follows `add`, before both updates. With
+features that couple the nodes, `begin_coupling` and `end_coupling` come before `gather`.
 
 A step of no time (dt = 0) only passes velocities through the grid, and ends with
 `correct_transfers` in the place of `gather`.
@@ -77,6 +77,9 @@ class Engine(EngineServices, Protocol):
 
     def add(self, part: FieldMessage) -> None:
         """Add the sums of another rank from a section of a message."""
+
+    def begin_impulses(self) -> NodeState:
+        """Return the nodes, with velocities by momentum alone, before the updates of a step."""
 
     def update(self, border: bool) -> None:
         """Compute velocities at the nodes shared with other ranks (border), or at all others."""

@@ -62,7 +62,7 @@ def group_context(
     """
     plan = requests.plan
     contributes = {name: chosen[rows] for name, chosen in tables.contributes.items()}
-    is_apart = any(other.separates_stress for other in plan.groups)
+    is_apart = group.plan.separates_stress
     split = contributes["impulses"] if is_apart else np.zeros(len(rows), bool)
     gathers_more = split | group.plan.volume.by_cells
     for feature in plan.features:
@@ -133,9 +133,9 @@ def _kind_without_correction(plan: Plan, group: GroupPlan, auxiliary: dict, dt: 
     kinds: list[tuple] = []
     patch_count = 0
     for feature in plan.features:
-        if names := feature.gathers(group):
+        if feature.has_gather_kind(group):
             kinds.append(feature.gather_kind(group, auxiliary, dt, patch_count))
-            patch_count += len(names)
+            patch_count += len(feature.gathers(group))
     return reduce(Both, kinds) if kinds else VelocityOnly(0.0)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from vgmpi.features.field_request import FieldRequest
 from vgmpi.kernels import reproducible_sums
+from vgmpi.kernels.grid.node_stages import NoStage
 from vgmpi.kernels.kernel_arguments import NodeBlocks, Sums
 from vgmpi.kernels.nodal_fields import (
     body_fields,
@@ -210,7 +211,7 @@ class NodalFields(Mapping[str, NodalField]):
             name: aligned_zeros((0, reproducible_sums.BLOCK), plan.real)
             for feature in plan.features for name in feature.gathered
         }  # fmt: skip
-        self.stage: tuple = ()
+        self.stage: tuple = NoStage()
 
     def __getitem__(self, name: str) -> NodalField:
         return self.by_name[name]
@@ -235,14 +236,14 @@ class NodalFields(Mapping[str, NodalField]):
         self.stage = self.stage_at(self.gathered_nodes)
 
     def stage_at(self, nodes: dict) -> tuple:
-        """Return the kernels/grid/node_stages.py kind of all features, () without one.
+        """Return the kernels/grid/node_stages.py kind of all features.
 
         Args:
             nodes: Auxiliary nodal values by name.
         """
         stages = (feature.node_stage(nodes) for feature in self.requests.plan.features)
         kinds = [kind for kind in stages if kind is not None]
-        return reduce(Both, kinds) if kinds else ()
+        return reduce(Both, kinds) if kinds else NoStage()
 
     def begin(self, speed: float) -> None:
         """Choose the quanta of a step.

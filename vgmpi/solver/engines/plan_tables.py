@@ -143,5 +143,5 @@ def _separate_stress(plan: Plan) -> bool | StressProximity:
     place = next((each for each in places if each is not None), None)
     if place is None:
         return plan.separates_stress
-    proximity: StressProximity = place._replace(everywhere=plan.separates_stress)
+    proximity: StressProximity = place._replace(everywhere=place.everywhere | plan.separates_stress)
     return proximity

@@ -64,11 +64,12 @@ def find_rows(blocks, lattice, walls, colliders, centers, fields, scale, out):
                 set_node_indices(ijk, lattice.block[block], node)
                 body = colliders.body[colliders.row[block], node]
                 free, share = fields.free_part[64 * block + node], fields.share[64 * block + node]
-                if body < 0 or not free < 1 or not share < 1:
+                of_solids = fields.solid_part[64 * block + node]
+                if body < 0 or not free < 1 or not share + of_solids < 1:
                     continue
                 for a in range(3):
                     arm[a] = ijk[a] - centers[body, a]
-                    weight[a] = 0.25 * corner_sign(corner, a) * (1.0 - share)
+                    weight[a] = 0.25 * corner_sign(corner, a) * (1.0 - share - of_solids)
                     if is_held(block, node, a, lattice, walls):
                         weight[a] = 0.0
                 row[0], row[1], row[2] = weight[0], weight[1], weight[2]

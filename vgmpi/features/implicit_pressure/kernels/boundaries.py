@@ -236,7 +236,8 @@ def reserve_nodes(rows, liquids, colliders, fields, reserved):
         for q in range(64):
             is_free = row >= 0 and len(colliders.body) > 0 and colliders.body[row, q] >= 0
             for r in range(liquids.first[b], liquids.first[b + 1]):
-                reserved[r, q] = fields.cover[64 * b + q] > 0 or not is_free
+                if liquids.per_cell[liquids.phase[r]] > 0:
+                    reserved[r, q] = fields.cover[64 * b + q] > 0 or not is_free
 
 
 @kernel
@@ -267,10 +268,11 @@ def record_pressure(rows, lattice, walls, colliders, potential, fields, level, r
                 set_node_indices(ijk, lattice.block[block], node)
                 set_node(reaction, node, ijk[0], ijk[1], ijk[2])
                 share, row = fields.share[64 * block + node], colliders.row[block]
-                is_shared = row >= 0 and fields.free_part[64 * block + node] < 1 and share < 1
+                others = 1.0 - share - fields.solid_part[64 * block + node]
+                is_shared = row >= 0 and fields.free_part[64 * block + node] < 1 and others > 0
                 if is_shared and (len(colliders.body) == 0 or colliders.body[row, node] < 0):
                     for a in range(3):
-                        push[a] = -corner_sign(corner, a) * (1.0 - share) * quarter
+                        push[a] = -corner_sign(corner, a) * others * quarter
                         move[a] = colliders.moves[row, node, a] if len(colliders.moves) > 0 else 0.0
                     set_collider(reaction, colliders.number[row, node], colliders.nodes[row, node])
                     add_pressure_reaction(reaction, colliders.number[row, node], push, move)

@@ -5,20 +5,11 @@ from typing import NamedTuple
 import numpy as np
 
 from vgmpi.kernels.colliders.surface_flow import FULL_WEIGHT_CELLS, touches_surface
-from vgmpi.kernels.wall_boundary import RELEASING, SEPARATE, SLIP, STICK
-from vgmpi.runtime.jit import always_inline, device_function, kernel
+from vgmpi.kernels.grid.phase_nodes import count_images, is_held_at_wall
+from vgmpi.runtime.jit import device_function, kernel
 
 MIN_NODE_FILL = 1e-9  # [-] lighter nodes are no part of the system
 HELD_FILL = 8.0  # [-] share of a node to which the liquid sticks: neighbors say how full a cell is
-
-
-class PhaseNodes(NamedTuple):
-    """Blocks of nodes of a phase, and where their numbers are."""
-
-    node_block: np.ndarray  # (n,) row of each among the node blocks of the rank
-    solid: np.ndarray  # (n,) row of each among the blocks of colliders, or -1
-    block: np.ndarray  # (n, 3) block coordinates
-    region: np.ndarray  # (n, 64) bool, nodes that this rank computes
 
 
 class CollidersNearby(NamedTuple):
@@ -50,7 +41,7 @@ def set_nodes(rows, nodes, walls, unit, velocity, fields, before, after):
         nb = nodes.node_block[b]
         for q in range(64):
             mass = velocity[nb, 4 * q + 3] * per_cell
-            images, is_inside = _images(nodes.block[b], q, walls)
+            images, is_inside = count_images(nodes.block[b], q, walls.kinds, walls.cells)
             counts = is_inside and nodes.region[b, q] and mass > MIN_NODE_FILL
             fields.fill[64 * b + q] = real(images) * mass if counts else real(0)
             for a in range(3):
@@ -58,53 +49,10 @@ def set_nodes(rows, nodes, walls, unit, velocity, fields, before, after):
                 v = velocity[nb, 4 * q + a] if counts else real(0)
                 fields.star[n] = before[n] = after[n] = v
                 fields.step[n] = 0
-                moves = counts and not _is_held(nodes.block[b], q, a, v, walls)
+                moves = counts and not is_held_at_wall(
+                    nodes.block[b], q, a, v, walls.kinds, walls.cells
+                )
                 fields.inverse[n] = real(1) / mass if moves else real(0)
-
-
-@always_inline
-def _node_index(block, q, axis):
-    """Return the index of a node of a block along an axis."""
-    step = q // 16 if axis == 0 else (q // 4 % 4 if axis == 1 else q % 4)
-    return 4 * block[axis] - 1 + step
-
-
-@always_inline
-def _images(block, q, walls):
-    """Return how many images the mass of a node stands for, and whether it is in the domain."""
-    images, is_inside = 1, True
-    for a in range(3):
-        node = _node_index(block, q, a)
-        is_inside = is_inside and 0 <= node <= walls.cells[a]
-        for side in range(2):
-            kind = walls.kinds[a, side]
-            mirrors = kind == STICK or kind == SLIP or kind == RELEASING
-            if node == side * walls.cells[a] and mirrors:
-                images *= 2
-    return images, is_inside
-
-
-@always_inline
-def _is_held(block, q, axis, speed, walls):
-    """Return whether a wall holds a node along an axis.
-
-    Args:
-        block: Block of the node, shape (3,).
-        q: Number of the node in its block.
-        axis: The axis.
-        speed: Velocity along it [m/s].
-        walls: Walls of the domain.
-    """
-    for a in range(3):
-        node = _node_index(block, q, a)
-        for side in range(2):
-            kind = walls.kinds[a, side]
-            if node == side * walls.cells[a]:
-                leaves = speed > 0 if side == 0 else speed < 0
-                stops = (kind == SEPARATE or kind == RELEASING) and not leaves
-                if kind == STICK or (a == axis and (kind == SLIP or stops)):
-                    return True
-    return False
 
 
 @kernel
@@ -181,5 +129,5 @@ def store_velocities(rows, nodes, walls, fields, velocity, result):
                 if fields.inverse[n] > 0:
                     v = velocity[n]
                     # a separate wall stops what now moves into it
-                    is_stopped = _is_held(nodes.block[b], q, a, v, walls)
+                    is_stopped = is_held_at_wall(nodes.block[b], q, a, v, walls.kinds, walls.cells)
                     result[nb, 4 * q + a] = velocity.dtype.type(0) if is_stopped else v

@@ -301,7 +301,8 @@ def update_apart(
     q = number()
     if q < len(blocks):
         own = SeparatedStress(
-            separate.impulses, separate.shared, separate.adds_own, separate.kind, workspace
+            separate.impulses, separate.shared, separate.adds_own, separate.kind, workspace,
+            separate.is_converted,
         )  # fmt: skip
         _block(blocks[q : q + 1], tables, summed, shear, own, pair_rules, walls, phases, solids,
                reactions, step, report)  # fmt: skip

@@ -290,6 +290,10 @@ class Numpy(SurfaceNodes):
         if (marks := reserved_nodes(self.features)) is not None:
             self.contact.reserved = self.dense_marks(marks)
 
+    def begin_impulses(self) -> NodeState:
+        """Refuse: features that filter stress impulses need the CPU engine."""
+        raise NotImplementedError("no feature of this engine filters stress impulses")
+
     def begin_coupling(self) -> NodeState:
         """Copy what couplings need to node blocks, and return these."""
         self.copy_to_blocks(self.v, self.nodes.mass, self.nodes.offset, self.nodes.volume)

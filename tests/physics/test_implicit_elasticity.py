@@ -1,0 +1,167 @@
+"""Solids with an implicit elasticity: long waves, momentum, collisions, and beside liquids.
+
+The numbers from outside are the frequency of an axial bar, Archimedes' draught of a ball, and the
+sums of momenta.
+"""
+
+import numpy as np
+import pytest
+
+from tests.physics.test_bar import BAR, EXACT, RHO, E, L
+from tests.support import oscillation
+from tests.support.simulate import advance, begin, by_id, totals
+from vgmpi.features.implicit_elasticity import coupling
+
+G, DX = 9.81, 0.01  # [m/s2], [m]
+SCENE = """
+[domain]
+size = [0.24, 0.24, 0.24]
+cell = 0.01
+boundary = "WALLS"
+gravity = [0, 0, GRAVITY]
+[time]
+end = 4
+frames = 3
+[accuracy]
+ACCURACY
+precision = "double"
+[material.water]
+kind = "fluid"
+max_speed = 1.5
+[material.rubber]
+kind = "elastic"
+density = 400
+youngs_modulus = 2e4
+friction = 0
+"""
+BALL = """
+[[object]]
+name = "NAME"
+material = "rubber"
+velocity = [SPEED, 0, 0]
+shape = { sphere = { center = [X, 0.12, Z], radius = 0.05 } }
+"""
+
+
+def scene(*objects, accuracy='pressure = "implicit"', walls="slip", gravity=-G):
+    """Text of a scene."""
+    text = SCENE.replace("ACCURACY", accuracy).replace("WALLS", walls)
+    return text.replace("GRAVITY", str(gravity)) + "".join(objects)
+
+
+def ball(name, x, z, speed=0.0):
+    """A ball of rubber."""
+    text = BALL.replace("NAME", name).replace("SPEED", str(speed))
+    return text.replace("X,", f"{x},").replace("Z]", f"{z}]")
+
+
+@pytest.mark.parametrize("number, error", [(1.0, 0.005), (3.0, 0.02)])
+def test_long_waves_keep_their_speed(tmp_path, number, error):
+    """An axial bar of 32 cells, fixed at one end."""
+    dx = L / 32
+    keys = f'elasticity = "implicit"\nelastic_courant_number = {number}\nprecision = "double"'
+    text = BAR.replace("SIZE", "1.25").replace("WIDTH", repr(4 * dx)).replace("CELL", repr(dx))
+    text = text.replace('precision = "double"', keys)
+    amplitude = 1e-4 * np.sqrt(E / RHO)
+
+    def mode(x):
+        v = np.zeros_like(x)
+        v[:, 0] = amplitude * np.sin(0.5 * np.pi * x[:, 0] / L)
+        return v
+
+    simulation, made = begin(tmp_path, text, velocity=mode)
+    shape = np.sin(0.5 * np.pi * made.x[:, 0] / L)
+    times, values = [0.0], [amplitude * (shape**2).sum()]
+    dt = simulation.bound()
+    assert abs(dt * np.sqrt(E / RHO) / dx / number - 1) < 0.01
+    while simulation.time < 3.2 / EXACT:
+        simulation.advance(dt)
+        times.append(simulation.time)
+        values.append((by_id(simulation, "v")[0][:, 0] * shape).sum())
+    assert abs(1 / oscillation.period(times, values) / EXACT - 1) < error
+
+
+def test_sweeps_keep_momentum_and_answer_as_the_matrix_does():
+    """The polynomial of the sweeps is 1 at the eigenvalue 1, and near 1 / eigenvalue up to all."""
+    for stiffness in (1e-3, 0.1, 1.0, 4.5, 50.0):
+        weights = coupling.sweep_weights(stiffness)
+        eigenvalues = np.linspace(1, 1 + coupling.MAX_EIGENVALUE * stiffness, 500)
+        w = np.zeros_like(eigenvalues)
+        for weight in weights:
+            w += weight * (1 - eigenvalues * w)
+        assert weights[0] == 1
+        assert abs(w[0] - 1) < 1e-14
+        assert np.abs(w * eigenvalues - 1).max() < 1.01 * coupling.MAX_ERROR
+
+
+def test_two_balls_collide(tmp_path):
+    """Momentum is that before, and energy is not more."""
+    text = scene(
+        ball("left", 0.06, 0.12, 0.6), ball("right", 0.18, 0.13, -0.2),
+        accuracy='elasticity = "implicit"', walls="open", gravity=0,
+    )  # fmt: skip
+    simulation, _ = begin(tmp_path, text)
+    before = totals(simulation)
+    most = before["energy"]
+    while simulation.time < 0.1:
+        simulation.advance(simulation.bound())
+        most = max(most, totals(simulation)["energy"])
+    after = totals(simulation)["momentum"]
+    mass = 400 * 4 / 3 * np.pi * 0.05**3
+    assert np.abs(after - before["momentum"]).max() < 1e-10 * mass
+    assert most < 1.01 * before["energy"]
+    speeds = [by_id(simulation, "v")[0][:, 0][half].mean() for half in halves(simulation)]
+    assert speeds[0] < speeds[1]  # they have met, and part
+
+
+def test_a_drop_meets_a_ball(tmp_path):
+    """In empty space: the momentum of both is that before."""
+    drop = """
+[[object]]
+name = "drop"
+material = "water"
+velocity = [1, 0, 0.2]
+shape = { sphere = { center = [0.06, 0.12, 0.12], radius = 0.04 } }
+"""
+    text = scene(drop, ball("ball", 0.17, 0.13), walls="open", gravity=0)
+    simulation, _ = begin(tmp_path, text)
+    before = totals(simulation)["momentum"]
+    advance(simulation, 0.1)
+    after = totals(simulation)["momentum"]
+    assert np.abs(after - before).max() < 1e-10 * np.abs(before).max()
+    speed = by_id(simulation, "v")[0][:, 0]
+    assert speed[halves(simulation)[1]].mean() > 0.2  # the ball has been hit
+
+
+def test_a_ball_floats(tmp_path):
+    """Archimedes' draught to a tenth of a cell, and the water around it is still."""
+    water = """
+[[object]]
+name = "water"
+material = "water"
+initial_pressure = "hydrostatic"
+subtract = true
+shape = { box = [[0, 0, 0], [0.24, 0.24, 0.12]] }
+"""
+    height = np.linspace(-0.05, 0.05, 20001)  # of the center over the level
+    wet = np.pi * (0.05 - height) ** 2 * (0.1 + height) / 3
+    exact = height[np.argmin(np.abs(wet - 0.4 * 4 / 3 * np.pi * 0.05**3))]
+    level = 0.12
+    simulation, made = begin(tmp_path, scene(water, ball("ball", 0.12, level + exact)))
+    own = made.object == 1
+    level = (made.vol0[~own].sum() + 0.4 * made.vol0[own].sum()) / 0.24**2
+    heights, speeds = [], []
+    while simulation.time < 1.0:
+        simulation.advance(simulation.bound())
+        x, v = by_id(simulation, "x", "v")
+        heights.append(x[own, 2].mean() - level)
+        speeds.append(np.sqrt((v[~own] ** 2).sum(1).mean()))
+    assert abs(np.mean(heights[len(heights) // 4 :]) - exact) < 0.1 * DX
+    assert np.mean(speeds[len(speeds) // 2 :]) < 0.005 * np.sqrt(G * 0.12)
+
+
+def halves(simulation):
+    """Particles of the first object, and of the second one."""
+    count = len(by_id(simulation, "v")[0])
+    first = simulation.plan.count[0]
+    return np.arange(count) < first, np.arange(count) >= first

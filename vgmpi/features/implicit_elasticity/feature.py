@@ -1,0 +1,68 @@
+"""Implicit elasticity of solids: the grid holds their short waves back, so that steps are long.
+
+See docs/explanation/implicit-elasticity.md.
+"""
+
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal
+
+from vgmpi.materials.material import Quantity
+from vgmpi.runtime.config.schema import StrictModel
+from vgmpi.scene.scene_feature import SceneFeature, features
+
+
+class AccuracyKeys(StrictModel):
+    """Keys that the implicit elasticity adds to [accuracy]."""
+
+    elasticity: Literal["explicit", "implicit"] | None = None
+    """how the stress of solids acts, by default as the pressure of liquids is found. explicit: on
+    each node alone; their waves bound the step. implicit: on all nodes of a solid together, by a
+    system of equations of the grid that slows the waves that are shorter than some steps' way,
+    without damping"""
+    elastic_courant_number: Annotated[float, Quantity("", gt=0, le=10)] = 2.0
+    """cells that a wave of a solid goes in a step, at most, with elasticity = "implicit\""""
+
+
+class ImplicitElasticity(SceneFeature):
+    """Implicit elasticity in the tables of a scene."""
+
+    name, title = "implicit_elasticity", "implicit elasticity"
+    section_keys = {"accuracy": AccuracyKeys}
+    missing_engines = ("cuda", "numpy")
+
+    def plan(self, draft: Any, prepared: Any) -> tuple[Any, Any]:
+        """Return its plan, or None, and the draft with groups whose waves the grid slows.
+
+        Args:
+            draft, prepared: See `SceneFeature.plan`.
+
+        Raises:
+            SceneError: The scene has what an implicit elasticity does not know.
+        """
+        accuracy = draft.scene.accuracy
+        if (accuracy.elasticity or accuracy.pressure) == "explicit":
+            return None, draft
+        wrong = list(obstacles(draft.scene))
+        if wrong:
+            raise draft.scene.error(wrong)
+        from .plan import plan_implicit_elasticity
+
+        if all(group.is_liquid or group.is_carried for group in draft.groups):
+            return None, draft
+        return plan_implicit_elasticity(draft)
+
+
+def obstacles(scene: Any) -> Iterator[tuple[tuple, str]]:
+    """Yield (path of a key, message) of all that an implicit elasticity does not know."""
+    message = "accuracy.elasticity = 'implicit' is not for"
+    for k, obj in enumerate(scene.object):
+        if obj.motion and not obj.collider:
+            yield ("object", k, "motion"), f"{message} bodies of particles that are moved"
+    for feature in features():
+        if feature.name == "pinned_parts":
+            for k, obj in enumerate(scene.object):
+                for key in feature.keys_of(obj)[:1]:
+                    yield ("object", k, key), f"{message} {feature.title}"
+
+
+FEATURE = ImplicitElasticity()

@@ -1,0 +1,239 @@
+"""Sweeps over the nodes of a solid: (M + K)^-1 of impulses, with light nodes in tow.
+
+With the masses M of heavy nodes and of what follows them, a sweep is
+
+    w = (1 - s) w + s T M^-1 T^T (r - K w)
+
+The factors s are the inverse roots of a Chebyshev polynomial of which one root is 1: the first
+sweep takes s = 1, and the others do not change momentum.
+"""
+
+import numpy as np
+
+from vgmpi.kernels.grid.cell_stiffness import FIRST_OWN, multiply_patch
+from vgmpi.kernels.grid.phase_nodes import EDGE, PATCH, gather_patch, node_index_of
+from vgmpi.kernels.simd.vector16 import load, pointer, store
+from vgmpi.runtime.jit import kernel
+
+
+@kernel
+def find_remainder(rows, neighbors, trace, impulses, fields, w, remainder):
+    """Set the remainder to the impulses less K w at the nodes of some blocks.
+
+    Args:
+        rows: Blocks to process, shape (n,).
+        neighbors: Rows of the 27 blocks around each, flat.
+        trace: See kernels/grid/cell_stiffness.py.
+        impulses: Impulses, flat.
+        fields: SolidFields.
+        w: Changes of velocity, flat.
+        remainder: Flat (out).
+    """
+    real, four = w.dtype, w.dtype.type(4)
+    patch, forces = np.zeros(3 * PATCH, real), np.zeros(24 * PATCH, real)
+    sums, product = np.zeros(3 * PATCH, real), np.zeros(192, real)
+    own, loose, out = pointer(impulses), pointer(fields.loose), pointer(remainder)
+    for b in rows:
+        for a in range(3):
+            gather_patch(w, 192, 64 * a, neighbors, b, patch, PATCH * a)
+        multiply_patch(
+            pointer(fields.cells), b, pointer(patch), pointer(forces), pointer(sums), trace,
+            four - trace,
+        )  # fmt: skip
+        for a in range(3):
+            for i in range(4):
+                for j in range(4):
+                    place = PATCH * a + FIRST_OWN + EDGE * (EDGE * i + j)
+                    for k in range(4):
+                        product[64 * a + 16 * i + 4 * j + k] = sums[place + k]
+        for q in range(0, 192, 16):
+            n = 192 * b + q
+            store(out, n, load(loose, n) * (load(own, n) - load(pointer(product), q)))
+
+
+@kernel
+def divide_by_mass(rows, ties, fields, remainder, change):
+    """Set the change to M^-1 T^T of a remainder at the nodes of some blocks.
+
+    Args:
+        rows: Blocks to process, shape (n,).
+        ties: Ties of heavy nodes to those that follow them.
+        fields: SolidFields.
+        remainder: Flat, 0 in directions that are held, known around the nodes of this rank.
+        change: Flat (out).
+    """
+    loose, inverse = pointer(fields.loose), pointer(fields.inverse)
+    left, out = pointer(remainder), pointer(change)
+    for b in rows:
+        for a in range(3):
+            for q in range(0, 64, 16):
+                n = 192 * b + 64 * a + q
+                own = load(loose, n) * load(inverse, 64 * b + q)
+                store(out, n, own * load(left, n))
+    for t in range(len(ties.nodes)):
+        b, q = ties.nodes[t] // 64, ties.nodes[t] % 64
+        for a in range(3):
+            n = 192 * b + 64 * a + q
+            total = remainder[n]
+            for k in range(ties.first[t], ties.first[t + 1]):
+                other = ties.others[k]
+                total += ties.weights[k] * remainder[192 * (other // 64) + 64 * a + other % 64]
+            change[n] = fields.loose[n] * fields.inverse[64 * b + q] * total
+
+
+@kernel
+def add_change(rows, weight, ties, fields, change, w):
+    """Bring w to (1 - weight) w + weight T change at the nodes of some blocks.
+
+    Args:
+        rows: Blocks to process, shape (n,).
+        weight: Weight of the sweep.
+        ties: Ties of light nodes to those that they follow.
+        fields: SolidFields.
+        change: Flat, known around the nodes of this rank.
+        w: Flat (in/out).
+    """
+    values, out = pointer(change), pointer(w)
+    remaining = w.dtype.type(1) - weight
+    for b in rows:
+        for n in range(192 * b, 192 * (b + 1), 16):
+            store(out, n, remaining * load(out, n) + weight * load(values, n))
+    for t in range(len(ties.nodes)):
+        b, q = ties.nodes[t] // 64, ties.nodes[t] % 64
+        for a in range(3):
+            n = 192 * b + 64 * a + q
+            total = w.dtype.type(0)
+            for k in range(ties.first[t], ties.first[t + 1]):
+                other = ties.others[k]
+                total += ties.weights[k] * change[192 * (other // 64) + 64 * a + other % 64]
+            w[n] += fields.loose[n] * weight * total
+
+
+@kernel
+def sweep(rows, neighbors, trace, weights, ties, impulses, fields, work):
+    """Make sweeps over a solid whose nodes no other thread or rank computes.
+
+    Args:
+        rows: Blocks to process, shape (n,).
+        neighbors, trace, impulses, fields: See `find_remainder`.
+        weights: Weights of the sweeps.
+        ties: Ties of heavy nodes to those that follow them, and of these to those.
+        work: Remainder and change, scratch, and w (in/out), flat.
+    """
+    pushes, pulls = ties
+    remainder, change, w = work
+    for weight in weights:
+        find_remainder(rows, neighbors, trace, impulses, fields, w, remainder)
+        divide_by_mass(rows, pushes, fields, remainder, change)
+        add_change(rows, weight, pulls, fields, change, w)
+
+
+@kernel
+def take_impulses(rows, nodes, per_unit, nodal, impulses):
+    """Take the impulses at the nodes of some blocks.
+
+    Args:
+        rows: Blocks to process, shape (n,).
+        nodes: PhaseNodes.
+        per_unit: Inverse mass of a full cell [1/kg].
+        nodal: Impulse [kg m/s], and a fourth number, shape (node blocks, 256).
+        impulses: The same per mass of a full cell, flat (out).
+    """
+    for b in rows:
+        nb = nodes.node_block[b]
+        for q in range(64):
+            for a in range(3):
+                value = nodal[nb, 4 * q + a] * per_unit
+                is_own = nodes.region[b, q]
+                impulses[192 * b + 64 * a + q] = value if is_own else 0.0 * per_unit
+
+
+@kernel
+def store_impulses(rows, nodes, unit, w, fields, nodal):
+    """Store the impulses that give the nodes of some blocks their changes of velocity.
+
+    Args:
+        rows: Blocks to process, shape (n,).
+        nodes: PhaseNodes.
+        unit: Mass of a full cell [kg].
+        w: Changes of velocity, flat.
+        fields: SolidFields.
+        nodal: See `take_impulses` (in/out).
+    """
+    for b in rows:
+        nb = nodes.node_block[b]
+        for q in range(64):
+            for a in range(3):
+                nodal[nb, 4 * q + a] = unit * fields.mass[64 * b + q] * w[192 * b + 64 * a + q]
+
+
+@kernel
+def expect_velocities(rows, nodes, velocity, w, expected):
+    """Note the velocities of the nodes of some blocks with changes that are to come.
+
+    Args:
+        rows: Blocks to process, shape (n,).
+        nodes: PhaseNodes.
+        velocity: Velocity [m/s] and mass [kg], shape (node blocks, 256).
+        w: Changes of velocity, flat.
+        expected: Flat (out).
+    """
+    for b in rows:
+        nb = nodes.node_block[b]
+        for q in range(64):
+            for a in range(3):
+                n = 192 * b + 64 * a + q
+                expected[n] = velocity[nb, 4 * q + a] + w[n]
+
+
+@kernel
+def take_contact(rows, nodes, extent, velocity, fields, expected, impulses, touches):
+    """Take the impulses of what has changed the nodes of some blocks, but for those on walls.
+
+    Args:
+        rows: Blocks to process, shape (n,).
+        nodes: PhaseNodes.
+        extent: Cells of the domain, shape (3,).
+        velocity, expected: See `expect_velocities`.
+        fields: SolidFields.
+        impulses: Per mass of a full cell, flat (out).
+        touches: Becomes 1 if there are any, shape (1,) (in/out).
+    """
+    for b in rows:
+        nb = nodes.node_block[b]
+        for q in range(64):
+            mass, on_wall = fields.mass[64 * b + q], False
+            for a in range(3):
+                node = node_index_of(nodes.block[b], q, a)
+                on_wall = on_wall or node <= 0 or node >= extent[a]
+            if on_wall or not mass > 0:
+                continue
+            for a in range(3):
+                n = 192 * b + 64 * a + q
+                change = velocity[nb, 4 * q + a] - expected[n]
+                if abs(change) > 1e-5 * abs(expected[n]):
+                    impulses[n] = mass * change
+                    touches[0] = 1
+
+
+@kernel
+def spread_contact(rows, nodes, w, fields, impulses, velocity):
+    """Replace what impulses did to the nodes of some blocks by what they do to all together.
+
+    Args:
+        rows: Blocks to process, shape (n,).
+        nodes: PhaseNodes.
+        w: Changes of velocity by the impulses, flat.
+        fields: SolidFields.
+        impulses: Per mass of a full cell, flat.
+        velocity: Velocity [m/s] and mass [kg], shape (node blocks, 256) (in/out).
+    """
+    for b in rows:
+        nb = nodes.node_block[b]
+        for q in range(64):
+            mass = fields.mass[64 * b + q]
+            if not mass > 0:
+                continue
+            for a in range(3):
+                n = 192 * b + 64 * a + q
+                velocity[nb, 4 * q + a] += w[n] - impulses[n] / mass

@@ -1,0 +1,136 @@
+"""Deformable solids in the system of the pressure: they answer to it within the same solution."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from vgmpi.features.active_feature import DeformableSolid, NodeState
+from vgmpi.parallel.cell_exchange import CellExchange
+from vgmpi.runtime.aligned_arrays import aligned_zeros
+
+from .kernels import solid_rows
+from .kernels.relaxation import LevelFields
+from .kernels.solid_rows import SolidBlocks, SolidRows
+
+
+class SolidResponse:
+    """Deformable solids of a run next to the cells with pressure of a rank."""
+
+    def __init__(self, solids: Sequence[DeformableSolid], mass_of_cell: float, plan: Any):
+        """Take the solids, the mass of a full cell [kg], and the plan."""
+        self.solids, self.mass_of_cell, self.plan = solids, mass_of_cell, plan
+        self.is_solid = np.isin(np.arange(len(plan.phases)), [each.phase for each in solids])
+        self.rows: list[SolidRows] = []
+
+    def set_topology(self, lattice: Any) -> None:
+        """Take new blocks after a sort, a Lattice."""
+        count, real = len(lattice.block), self.plan.real
+        self.lattice = lattice
+        self.rows = [solid_rows.solid_rows(count, real) for _ in self.solids]
+        marks = [np.bincount(each.block_of, minlength=count) > 0 for each in self.solids]
+        high = lattice.high.reshape(-1, 8)
+        self.blocks = np.flatnonzero(np.any(marks, 0))
+        self.cells = [np.flatnonzero(np.append(mark, False)[high].any(1)) for mark in marks]
+        sizes = [192 * (len(each.rows) + 1) for each in self.solids]
+        self.impulses, self.totals = (
+            [aligned_zeros(size, real) for size in sizes] for _ in range(2)
+        )
+
+    def read_parts(self, nodes: NodeState, fields: Any) -> None:
+        """Read the parts of the solids at the nodes.
+
+        Args:
+            nodes: Nodes of the rank.
+            fields: PressureFields (solid and meeting out).
+        """
+        self.nodes, real = nodes, self.plan.real.type
+        for values in (fields.solid, fields.meeting, fields.solid_part):
+            values[:] = 0
+        volumes, per_volume = nodes.fields["impulses"].nodes, real(1.0 / self.plan.dx**3)
+        for solid, rows in zip(self.solids, self.rows, strict=True):
+            nodes.call(
+                solid_rows.read_parts, blocks_of(solid), volumes, self.lattice, nodes.walls,
+                per_volume, rows, fields,
+            )  # fmt: skip
+
+    def begin(self, fields: Any, level: LevelFields, exchange: CellExchange) -> None:
+        """Take what the solids have of the nodes, and subtract what they do. Collective.
+
+        Args:
+            fields: PressureFields with `solid_scale`.
+            level: LevelFields (in/out).
+            exchange: Exchange of the cells around those of this rank.
+        """
+        nodes, lattice = self.nodes, self.lattice
+        per_length = self.plan.real.type(1.0 / self.plan.dx)
+        for solid, rows, cells in zip(self.solids, self.rows, self.cells, strict=True):
+            nodes.call(solid_rows.scale_parts, solid.block_of, fields, rows)
+            nodes.call(solid_rows.set_means, cells, lattice, rows)
+            exchange.exchange(rows.mean)
+            nodes.call(
+                solid_rows.read_velocities, blocks_of(solid), nodes.velocities, per_length, rows,
+            )  # fmt: skip
+            nodes.call(solid_rows.subtract_divergence, cells, lattice, rows, level)
+        self.level = level
+
+    def add_product(self, potential: np.ndarray, product: np.ndarray) -> None:
+        """Add what the solids answer to a potential to its product with the system. Collective.
+
+        Args:
+            potential: Numbers of cells, known around those of this rank, flat.
+            product: Numbers of cells, flat (in/out).
+        """
+        nodes, lattice, real = self.nodes, self.lattice, self.plan.real.type
+        self.answers = []
+        parts = zip(self.solids, self.rows, self.cells, self.impulses, strict=True)
+        for solid, rows, cells, impulses in parts:
+            np.multiply(rows.mean, potential, out=rows.weighted)
+            factor = real(self.mass_of_cell / solid.mass_of_cell)
+            nodes.call(
+                solid_rows.set_tractions, solid.block_of, lattice, factor, potential, rows,
+                impulses,
+            )  # fmt: skip
+            answer = solid.answer(impulses)
+            self.answers.append(answer)
+            nodes.call(solid_rows.store_answer, solid.block_of, answer, rows)
+            nodes.call(solid_rows.add_product, cells, lattice, rows, self.level, product)
+
+    def begin_totals(self) -> None:
+        """Begin the sums of the answers with the last ones."""
+        for total, answer in zip(self.totals, self.answers, strict=True):
+            total[:] = answer
+
+    def add_to_totals(self, factor: float) -> None:
+        """Add the last answers times a factor to their sums."""
+        for total, answer in zip(self.totals, self.answers, strict=True):
+            total += factor * answer
+
+    def add_velocities(self, velocity: np.ndarray) -> None:
+        """Add the sums of the answers to the velocities of the nodes.
+
+        Args:
+            velocity: Velocity [m/s] and mass [kg], shape (node blocks, 256) (in/out).
+        """
+        dx = self.plan.real.type(self.plan.dx)
+        for solid, total in zip(self.solids, self.totals, strict=True):
+            self.nodes.call(solid_rows.add_velocities, solid.rows, dx, total, velocity)
+
+    def stop_spray(self, liquids: Any, fields: Any, total: np.ndarray) -> None:
+        """Stop liquids that approach solids where no pressure acts.
+
+        Args:
+            liquids: LiquidRows.
+            fields: PressureFields.
+            total: Part of all solids, known around the nodes of this rank, flat.
+        """
+        nodes = self.nodes
+        nodes.call(
+            solid_rows.stop_at_solids, self.blocks, self.lattice, nodes.walls, self.is_solid,
+            liquids, fields, total, nodes.velocities,
+        )  # fmt: skip
+
+
+def blocks_of(solid: DeformableSolid) -> SolidBlocks:
+    """Return the blocks of a solid for kernels."""
+    return SolidBlocks(solid.rows, solid.block_of, solid.is_attached, solid.loose)
