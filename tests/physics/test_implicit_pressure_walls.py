@@ -94,3 +94,32 @@ speed = 1
     speed = np.sqrt(1 + 2 * G * (0.33 - x[below, 2]))
     assert (-v[below, 2] / speed).mean() == pytest.approx(1, abs=0.02)
     assert (-v[below, 2] / speed).std() < 0.03
+
+
+@pytest.mark.parametrize("wall, height", [("slip", 0.2), ("separate", 0.36)])
+def test_an_inlet_on_a_wall_pushes_what_is_before_it(tmp_path, wall, height):
+    """Water in a full channel has the mean speed of the inlet at once, and stays as dense."""
+    walls = f'{{ default = "slip", west = "{wall}", east = "open" }}'
+    text = (SCENE + WATER).replace("BOUNDARY", walls)
+    text = text.replace("INITIAL", "zero").replace("VELOCITY", "[0, 0, 0]")
+    text = text.replace("[domain]", "[domain]\ngravity = [0, 0, 0]")
+    text = text.replace("[0, 0, 0], [0.24", "[0.02, 0, 0], [0.23")
+    text = text.replace("0.08, 0.16]]", "0.08, 0.36]]")
+    simulation, _ = begin(
+        tmp_path,
+        text
+        + f"""
+[[inlet]]
+name = "pipe"
+material = "water"
+rectangle = {{ center = [0.02, 0.04, 0.18], width = 0.08, height = {height} }}
+direction = "x"
+speed = {0.5 * 0.36 / height}
+""",
+    )
+    for time in (0.05, 0.2):
+        advance(simulation, time)
+        x, v = by_id(simulation, "x", "v")
+        inside = (x[:, 0] > 0.06) & (x[:, 0] < 0.2)
+        assert v[inside, 0].mean() == pytest.approx(0.5, rel=0.02)
+        assert inside.sum() == pytest.approx(14 * 8 * 36 * 8, rel=0.02)

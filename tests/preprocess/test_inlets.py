@@ -7,6 +7,7 @@ from scipy.spatial import cKDTree
 from tests.support.simulate import advance, begin, by_id, inlets_of
 from tests.support.small_scenes import scene
 from vgmpi.features.inlets_outlets import geometry
+from vgmpi.features.inlets_outlets.coupling import wall_inflow
 from vgmpi.features.particle_insertion import remove_particles
 from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.solver.initial_particles import known_of, plan_for
@@ -374,3 +375,24 @@ def test_what_is_removed_leaves_the_others_in_order(tmp_path):
 def _ids(group):
     at = group.index()
     return group.ids[at], at
+
+
+@pytest.mark.parametrize(
+    "mouth",
+    [
+        "disc = { center = [0.04, 0.1, 0.3], radius = 0.03 }",
+        "rectangle = { center = [0.04, 0.1, 0.385], width = 0.2, height = 0.03 }",
+    ],
+)
+def test_nodes_of_a_wall_let_in_what_a_nozzle_on_it_brings(tmp_path, mouth):
+    """Also at the edges of the wall, where a node has half as much of it."""
+    old = "disc = { center = [0.1, 0.1, 0.3], radius = 0.03 }"
+    made = plan(tmp_path, TAP.replace(old, mouth))
+    (source,) = inlets_of(made)
+    flow = wall_inflow(source, made)
+    assert (flow.nodes[:, 0] == 0).all() and not flow.velocities[:, 1:].any()
+    edges = ((flow.nodes == 0) | (flow.nodes == made.cells))[:, 1:].sum(1)
+    rate = (flow.velocities[:, 0] * 0.5**edges).sum() * 0.02**2
+    assert rate == pytest.approx(len(source.mouth) * 0.01**2, rel=1e-12)
+    assert flow.velocities[:, 0].max() <= 1 + 1e-12
+    assert wall_inflow(inlets_of(plan(tmp_path, TAP))[0], made) is None

@@ -145,6 +145,15 @@ class DeformableSolid(Protocol):
         """
 
 
+class WallInflow(NamedTuple):
+    """Liquid that enters through a wall from one time to another."""
+
+    nodes: np.ndarray  # (n, 3) nodes of the wall
+    velocities: np.ndarray  # (n, 3) [m/s]
+    begin: float  # [s]
+    end: float  # [s]
+
+
 class ActiveFeature:
     """Feature of a run on one rank. Methods are collective; every one does nothing by default.
 
@@ -153,6 +162,7 @@ class ActiveFeature:
         reserved_nodes: 1 at nodes that it attaches, where colliders do not act, (node blocks, 64)
             uint8; None if it attaches none.
         pushed_bodies: Free bodies that features which act before it may push, or None.
+        wall_inflows: What enters through walls; the pressure must not hold it.
         attaches_to_bodies: Whether it attaches nodes to free rigid bodies: it has `find_contacts`.
         phases: Phases whose fields it needs near its blocks, shape (phases,) bool.
         filters_impulses: Whether it has `filter_stress`.
@@ -170,6 +180,7 @@ class ActiveFeature:
     carrier = ""
     reserved_nodes: np.ndarray | None = None
     pushed_bodies: PushedBodies | None = None
+    wall_inflows: Sequence[WallInflow] = ()
     attaches_to_bodies = False
     phases = np.zeros(0, bool)
     filters_impulses = False

@@ -10,7 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vgmpi.features.active_feature import ActiveFeature, NodeState, PushedBodies, StartContext
+from vgmpi.features.active_feature import (
+    ActiveFeature,
+    NodeState,
+    PushedBodies,
+    StartContext,
+    WallInflow,
+)
 from vgmpi.kernels.step_records import StepSpan
 from vgmpi.parallel.block_lattice import BLOCK_EDGE
 from vgmpi.parallel.block_ownership import BlockDirectory
@@ -106,6 +112,8 @@ class ImplicitPressure(ActiveFeature):
         on_any_wall = ((index == 0) | (index == last)).any((1, 2))
         self.at_walls = np.flatnonzero(((index <= 0) | (index >= last)).any((1, 2)))
         self.at_boundaries = self._cells_at(on_any_wall | (tables.solid >= 0))
+        inflows = [inflow for each in self.features.values() for inflow in each.wall_inflows]
+        self.inflows = [_select_nodes(inflow, tables.coordinates) for inflow in inflows]
 
     def _cells_at(self, touches: np.ndarray) -> np.ndarray:
         """Return the blocks of the cells around the nodes of marked blocks (n,)."""
@@ -125,7 +133,7 @@ class ImplicitPressure(ActiveFeature):
         velocity, walls = nodes.velocities, nodes.walls
         bodies, liquids = self._pushed_bodies(), self.liquids.rows_in(nodes.fields, dt)
         colliders = self._colliders_at(nodes, bodies)
-        cells, wet = self._set_system(nodes, colliders, liquids, dt)
+        cells, wet = self._set_system(nodes, colliders, liquids, span)
         if self.solids is not None:
             assert solver.exchange is not None
             self.solids.begin(fields, level, solver.exchange)
@@ -167,9 +175,9 @@ class ImplicitPressure(ActiveFeature):
         self._find_displacements(nodes, liquids, cells, wet)
 
     def _set_system(
-        self, nodes: NodeState, colliders: ColliderNodes, liquids: LiquidRows, dt: float
+        self, nodes: NodeState, colliders: ColliderNodes, liquids: LiquidRows, span: StepSpan
     ) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """Set the system of the pressure in a step of dt [s]. Collective.
+        """Set the system of the pressure in a step. Collective.
 
         Returns:
             Blocks that have cells with pressure, and those next to them, by thread.
@@ -182,6 +190,7 @@ class ImplicitPressure(ActiveFeature):
         nodes.call(
             pressure_system.hold_at_walls, self.at_walls, lattice, nodes.walls, fields, level
         )
+        self._let_in(span.end)
         if self.node_exchange is not None:
             self.node_exchange.exchange(fields.fill)
         if self.solids is not None:
@@ -192,7 +201,7 @@ class ImplicitPressure(ActiveFeature):
             pressure_system.share_nodes, self.shared.nodes, lattice, nodes.walls, plan.dx,
             colliders, fields, level,
         )  # fmt: skip
-        guess_scale = plan.real.type(dt * self.liquids.stiffness)
+        guess_scale = plan.real.type(span.dt * self.liquids.stiffness)
         has_solids = self.solids is not None
         solver.each(
             blocks, pressure_system.set_cells, lattice, guess_scale, has_solids, fields, level
@@ -204,6 +213,7 @@ class ImplicitPressure(ActiveFeature):
                 boundaries.release_nodes, self.separating, lattice, nodes.walls, liquids,
                 nodes.velocities, fields, level,
             )  # fmt: skip
+            self._let_in(span.end)
             nodes.call(
                 pressure_system.set_cells, self.beside_separating, lattice, guess_scale,
                 has_solids, fields, level,
@@ -234,6 +244,17 @@ class ImplicitPressure(ActiveFeature):
         nodes.call(
             boundaries.stop_moves, self.separating, solver.lattice, nodes.walls, liquids, moves
         )
+
+    def _let_in(self, time: float) -> None:
+        """Hold the nodes of walls through which liquid enters at a time [s] at its velocity."""
+        level, share = self.solver.level, self.fields.share.reshape(-1, 64)
+        velocities, responses = level.u.reshape(-1, 3, 64), level.inverse.reshape(-1, 3, 64)
+        flows = [flow for flow in self.inflows if flow[0].begin <= time <= flow[0].end]
+        for _, block, node in flows:
+            velocities[block, :, node] = responses[block, :, node] = 0
+        for inflow, block, node in flows:
+            per_cell = share[block, node, None] / self.plan.dx
+            velocities[block, :, node] += per_cell * inflow.velocities
 
     def _pushed_bodies(self) -> PushedBodies | None:
         """Return the free bodies of the run, or None without any."""
@@ -292,3 +313,21 @@ class ImplicitPressure(ActiveFeature):
         own = wet[:count] & (solver.level.scale[: 64 * count].reshape(count, 64) > 0).any(1)
         rows = [np.array_split(np.flatnonzero(marks), threads) for marks in (own, reached)]
         return rows[0], rows[1]
+
+
+def _select_nodes(
+    inflow: WallInflow, coordinates: np.ndarray
+) -> tuple[WallInflow, np.ndarray, np.ndarray]:
+    """Return what enters at the nodes of some blocks, and the block and number of each node.
+
+    Args:
+        inflow: What enters.
+        coordinates: Coordinates of the blocks, shape (blocks, 3).
+    """
+    row_of = {tuple(block): row for row, block in enumerate(coordinates.tolist())}
+    block, step = np.divmod(inflow.nodes + 1, BLOCK_EDGE)
+    rows = np.array([row_of.get(tuple(each), -1) for each in block.tolist()])
+    own = rows >= 0
+    number = np.ravel_multi_index(tuple(step[own].T), (BLOCK_EDGE,) * 3)
+    chosen = inflow._replace(nodes=inflow.nodes[own], velocities=inflow.velocities[own])
+    return chosen, rows[own], number

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vgmpi.features.active_feature import ActiveFeature, StartContext
+from vgmpi.features.active_feature import ActiveFeature, StartContext, WallInflow
 from vgmpi.features.particle_insertion import (
     ParticleRows,
     bounds_of,
@@ -24,8 +24,10 @@ from vgmpi.io.checkpoint import Checkpoint
 from vgmpi.kernels.step_records import ParticleBounds, StepMaxima, StepReport, StepSpan
 from vgmpi.parallel.block_lattice import BITS, BLOCK_CENTER, BLOCK_EDGE
 from vgmpi.parallel.particle_group import ParticleGroup
+from vgmpi.planning.plan import Plan
 from vgmpi.preprocess.shape_sdf import blend_overhang, support
 
+from . import geometry
 from .flow_accounting import FlowAccounting
 from .plan import InletPlan, InletsOutletsPlan, OutletPlan
 
@@ -55,6 +57,27 @@ class _Carried(NamedTuple):
             ids=self.ids[remaining],
             release_time=self.release_time[remaining],
         )
+
+
+def wall_inflow(inlet: InletPlan, plan: Plan) -> WallInflow | None:
+    """Return what an inlet brings through a wall of the domain, or None: it begins inside.
+
+    Args:
+        inlet: The inlet.
+        plan: Plan of the run.
+    """
+    direction, cells = np.array(inlet.direction), plan.cells
+    axis = int(np.argmax(np.abs(direction)))
+    start = inlet.mouth - inlet.nozzle_layers * inlet.spacing * direction
+    wall = 0 if direction[axis] > 0 else cells[axis]
+    distance_to_wall = np.abs(start[:, axis] / plan.dx - wall).max()
+    if np.count_nonzero(direction) > 1 or distance_to_wall > geometry.TOUCH_TOLERANCE_CELLS:
+        return None
+    nodes, weights = geometry.wall_weights(start / plan.dx, axis, cells)
+    parts = weights * (inlet.spacing / plan.dx) ** 2
+    begin = float(inlet.spawn_time(0)) if inlet.start > 0 else -np.inf
+    end = float(inlet.spawn_time(inlet.particles - 1))
+    return WallInflow(nodes, parts[:, None] * inlet.velocity, begin, end)
 
 
 class Inlets:
@@ -253,6 +276,8 @@ class InletsOutlets(ActiveFeature):
         self.plan, self.flow = context.plan, FlowAccounting(context)
         self.inlets = Inlets(plan.inlets, context)
         self.outlets = Outlets(plan.outlets, self.flow, context)
+        flows = [wall_inflow(inlet, self.plan) for inlet in plan.inlets]
+        self.wall_inflows = [flow for flow in flows if flow is not None]
 
     def initial_particles(self, rows: list[ParticleRows]) -> list[ParticleRows]:
         """Return the particles at the start, with those of first layers."""

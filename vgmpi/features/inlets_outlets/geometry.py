@@ -7,6 +7,8 @@ spread evenly over h along the flow (`inlet_points`).
 """
 
 import math
+from collections.abc import Sequence
+from itertools import product
 from typing import Protocol
 
 import numpy as np
@@ -138,3 +140,27 @@ def bounding_box(source: Opening, dx: float) -> tuple[np.ndarray, np.ndarray]:
     center = np.array(source.opening.center)
     back = center - layers_in_nozzle(source) * spacing(source, dx) * along
     return np.minimum(center, back) - half, np.maximum(center, back) + half
+
+
+def wall_weights(
+    points: np.ndarray, axis: int, cells: Sequence[int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the nodes (n, 3) of a wall around points on it, and the sums of their weights.
+
+    A point is shared by the four nodes around it. A node at an edge of the wall has twice as much:
+    only a half of what is around it lies inside.
+
+    Args:
+        points: The points, shape (m, 3) [cells].
+        axis: Axis across the wall.
+        cells: Cells of the domain, three numbers.
+    """
+    low = np.floor(points).astype(int)
+    low[:, axis] = np.rint(points[:, axis])
+    corners = [step for step in product((0, 1), repeat=3) if step[axis] == 0]
+    corner_nodes = np.concatenate([low + corner for corner in corners])
+    away = np.abs(np.tile(points, (len(corners), 1)) - corner_nodes)
+    weights = np.delete(1.0 - away, axis, axis=1).prod(1)
+    nodes, row = np.unique(corner_nodes, axis=0, return_inverse=True)
+    is_at_edge = ((nodes == 0) | (nodes == cells)) & (np.arange(3) != axis)
+    return nodes, np.bincount(row.reshape(-1), weights) * 2.0 ** is_at_edge.sum(1)
