@@ -19,7 +19,7 @@ TOPICS = {
     "Liquids": "hydrostatic dam_break slosh vortices poiseuille volume torricelli piston "
     "spinning_cylinder",
     PUBLISHED: "dam_break_gauges dam_break_obstacle dam_break_front dam_break_column lid_cavity "
-    "tank_sloshing",
+    "channel_cylinder tank_sloshing",
     "Elastic solids": "bar cantilever torsion",
     "Granular materials": "sand_column",
     "Seepage and drag": "terzaghi infiltration drag heap",

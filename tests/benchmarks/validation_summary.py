@@ -40,11 +40,11 @@ SUMMARY = (
         "De Courcy et al. 2024 (incompressible SPH)",
     ),
     Effect(
-        "Sloshing", "Liquids beside published data", "deep tank that is moved to and fro",
-        (("sloshing in a deep tank: time of the s*implicit pressure",
-          "crests off by {error} in time"),
-         ("sloshing in a deep tank: s* crest*implicit pressure", "by {error} in height")),
-        "Faltinsen et al. 2000 (experiment)",
+        "Drag", "Liquids beside published data",
+        "flow past a cylinder, Re 20, 10 to 20 cells per diameter",
+        (("flow past a cylinder, Re 20: drag coefficient*", "off by {error}"),
+         ("flow past a cylinder, Re 20: length of the eddies*", "length of the eddies {error}")),
+        "Schaefer and Turek 1996",
     ),
     Effect(
         "Gravity waves", "Liquids", "standing wave in a tank",

@@ -21,6 +21,7 @@ from vgmpi.kernels.step_records import StepSpan
 from vgmpi.parallel.block_lattice import BLOCK_EDGE
 from vgmpi.parallel.block_ownership import BlockDirectory
 from vgmpi.parallel.cell_exchange import NODES_OF_PATCH, CellExchange, cell_topology
+from vgmpi.parallel.coarse_blocks import Lattice
 from vgmpi.parallel.exchange_topology import ExchangeTopology, counting_owner
 
 from . import pressure_system
@@ -89,9 +90,8 @@ class ImplicitPressure(ActiveFeature):
                 self.node_exchange.link.close()
             topology = cell_topology(tables, census, self.lattice, rank, NODES_OF_PATCH)
             self.node_exchange = CellExchange(self.ranks, topology, real)
-        self.blocks = len(tables.coordinates)
-        self.fields = pressure_fields(self.blocks, real)
-        self.fields.region[: 64 * self.blocks] = cells.region.reshape(-1)
+        self.fields = pressure_fields(self.solver.count, real)
+        self.fields.region[: 64 * self.solver.count] = cells.region.reshape(-1)
         self.liquids.set_topology(tables)
         near_colliders = np.flatnonzero(tables.solid >= 0)
         self.shared = SharedBlocks(near_colliders, near_colliders, near_colliders)
@@ -108,17 +108,13 @@ class ImplicitPressure(ActiveFeature):
         separates, last = self.separating_walls, np.array(self.plan.cells)
         on_wall = ((index == 0) & separates[:, 0]) | ((index == last) & separates[:, 1])
         touches = on_wall.any((1, 2))
-        self.separating, self.beside_separating = np.flatnonzero(touches), self._cells_at(touches)
+        self.separating = np.flatnonzero(touches)
+        self.beside_separating = cells_at(self.solver.lattice, touches)
         on_any_wall = ((index == 0) | (index == last)).any((1, 2))
         self.at_walls = np.flatnonzero(((index <= 0) | (index >= last)).any((1, 2)))
-        self.at_boundaries = self._cells_at(on_any_wall | (tables.solid >= 0))
+        self.at_boundaries = cells_at(self.solver.lattice, on_any_wall | (tables.solid >= 0))
         inflows = [inflow for each in self.features.values() for inflow in each.wall_inflows]
         self.inflows = [_select_nodes(inflow, tables.coordinates) for inflow in inflows]
-
-    def _cells_at(self, touches: np.ndarray) -> np.ndarray:
-        """Return the blocks of the cells around the nodes of marked blocks (n,)."""
-        high = self.solver.lattice.high.reshape(-1, 8)
-        return np.flatnonzero(np.append(touches, False)[high].any(1))
 
     def couple_nodes(self, nodes: NodeState, span: StepSpan, gravity: np.ndarray) -> None:
         """Change the velocities of the nodes in a step, and find the displacements.
@@ -234,7 +230,7 @@ class ImplicitPressure(ActiveFeature):
             nodes, liquids: Nodes of the rank, and the liquids at them.
             cells, wet: See `_set_system`.
         """
-        fields, solver, count = self.fields, self.solver, 64 * self.blocks
+        fields, solver, count = self.fields, self.solver, 64 * self.solver.count
         fields.cover[:count] = fields.filled[:count] + self.outside + fields.covered[:count]
         solver.each(cells, pressure_system.set_excess, solver.lattice, fields, solver.level)
         solver.find_moves()
@@ -267,7 +263,7 @@ class ImplicitPressure(ActiveFeature):
         body = number = np.zeros((0, 64), np.int64)
         if colliders is None:
             none = np.zeros((0, 64, 4), real), np.zeros((0, 64, 3), real)
-            return ColliderNodes(np.full(self.blocks, -1), *none, number, body)
+            return ColliderNodes(np.full(self.solver.count, -1), *none, number, body)
         number = colliders.collider_number
         if bodies is not None:
             body = bodies.number_of[number]
@@ -291,7 +287,7 @@ class ImplicitPressure(ActiveFeature):
         """Let cells inside of colliders have pressure next to those that have it. Collective."""
         if self.colliders is None and self.solids is None:
             return
-        fields, solver, count = self.fields, self.solver, 64 * self.blocks
+        fields, solver, count = self.fields, self.solver, 64 * self.solver.count
         assert solver.exchange is not None
         level = solver.level
         solver.exchange.exchange(fields.covered)
@@ -306,7 +302,7 @@ class ImplicitPressure(ActiveFeature):
 
     def _find_wet_blocks(self, threads: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Return the blocks that have cells with pressure, and those next to them, by thread."""
-        count, solver = self.blocks, self.solver
+        count, solver = self.solver.count, self.solver
         wet = np.zeros(count + 1, bool)
         wet[:count] = (self.fields.filled[: 64 * count].reshape(count, 64) > 0).any(1)
         reached = wet[solver.lattice.low.reshape(count, 8)].any(1)
@@ -331,3 +327,8 @@ def _select_nodes(
     number = np.ravel_multi_index(tuple(step[own].T), (BLOCK_EDGE,) * 3)
     chosen = inflow._replace(nodes=inflow.nodes[own], velocities=inflow.velocities[own])
     return chosen, rows[own], number
+
+
+def cells_at(lattice: Lattice, touches: np.ndarray) -> np.ndarray:
+    """Return the blocks of the cells around the nodes of marked blocks (n,)."""
+    return np.flatnonzero(np.append(touches, False)[lattice.high.reshape(-1, 8)].any(1))
