@@ -80,7 +80,7 @@ def test_iterations_converge_to_the_projection(tmp_path, monkeypatch):
     couple_nodes = type(stage).couple_nodes
 
     def recorded(self, nodes, span, gravity):
-        velocities = nodes.velocities[: self.blocks].reshape(-1, 64, 4)
+        velocities = nodes.velocities[: self.solver.count].reshape(-1, 64, 4)
         grids.append(nodal_grid(simulation, velocities, 4))
         couple_nodes(self, nodes, span, gravity)
         grids.append(nodal_grid(simulation, velocities, 4))
@@ -88,7 +88,7 @@ def test_iterations_converge_to_the_projection(tmp_path, monkeypatch):
     monkeypatch.setattr(type(stage), "couple_nodes", recorded)
     simulation.advance(0.002)
     before, after = grids
-    filled = stage.fields.filled[: 64 * stage.blocks].reshape(-1, 64, 1)
+    filled = stage.fields.filled[: 64 * stage.solver.count].reshape(-1, 64, 1)
     cells = np.argwhere(nodal_grid(simulation, filled, 1)[..., 0] > 0)
     mass = before[..., 3] / stage.liquids.mass_of_cell
     inverse = np.where(mass > 1e-9, 1.0 / np.maximum(mass, 1e-9), 0.0)
