@@ -104,7 +104,6 @@ def refusal(tmp_path, text):
             "materials that are no fluid",
             SCENE.replace("[domain]", 'elasticity = "explicit"\n[domain]') + SAND,
         ),
-        ("coupling.0.kind", "couplings of kind 'drag'", SCENE + SAND + SEEPAGE),
         (
             "accuracy.pressure",
             "scenes without a liquid",
@@ -209,10 +208,23 @@ def test_a_hydrostatic_start_adds_no_mass(tmp_path):
         ),
     ],
 )
-def test_what_an_implicit_elasticity_is_not_for(tmp_path, key, feature):
+def test_bodies_that_an_implicit_elasticity_is_not_for(tmp_path, key, feature):
     """It stands alone here: an implicit pressure refuses the same first."""
     text = SCENE[: SCENE.index("[[object]]")].replace("pressure", "elasticity")
     text += SAND.replace("sand", "rubber").replace('kind = "rubber"', 'kind = "elastic"')
     message = refusal(tmp_path, text + key)
     assert f"object.heap.{key.split()[0]}: accuracy.elasticity = 'implicit' is not for" in message
     assert feature in message
+
+
+@pytest.mark.parametrize(
+    "path, feature, keys, coupling",
+    [
+        ("accuracy.transfer", "FLIP", 'transfer = "flip"\n', ""),
+        ("coupling.0.kind", "couplings of kind 'drag'", "", SEEPAGE),
+    ],
+)
+def test_scenes_that_an_implicit_elasticity_is_not_for(tmp_path, path, feature, keys, coupling):
+    text = SCENE.replace("pressure", "elasticity").replace("[domain]", keys + "[domain]")
+    message = refusal(tmp_path, text + SAND + coupling)
+    assert f"{path}: accuracy.elasticity = 'implicit' is not for {feature}" in message

@@ -6,6 +6,7 @@ See docs/explanation/implicit-elasticity.md.
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
+from vgmpi.materials.couplings.interaction import CONTACT
 from vgmpi.materials.material import Quantity
 from vgmpi.runtime.config.schema import StrictModel
 from vgmpi.scene.scene_feature import SceneFeature, features
@@ -42,19 +43,23 @@ class ImplicitElasticity(SceneFeature):
         accuracy = draft.scene.accuracy
         if (accuracy.elasticity or accuracy.pressure) == "explicit":
             return None, draft
-        wrong = list(obstacles(draft.scene))
-        if wrong:
+        if all(group.is_liquid or group.is_carried for group in draft.groups):
+            return None, draft
+        if wrong := list(obstacles(draft.scene)):
             raise draft.scene.error(wrong)
         from .plan import plan_implicit_elasticity
 
-        if all(group.is_liquid or group.is_carried for group in draft.groups):
-            return None, draft
         return plan_implicit_elasticity(draft)
 
 
 def obstacles(scene: Any) -> Iterator[tuple[tuple, str]]:
     """Yield (path of a key, message) of all that an implicit elasticity does not know."""
     message = "accuracy.elasticity = 'implicit' is not for"
+    if scene.accuracy.is_flip:
+        yield ("accuracy", "transfer"), f"{message} FLIP"
+    for k, coupling in enumerate(scene.coupling):
+        if coupling.rule != CONTACT:
+            yield ("coupling", k, "kind"), f"{message} couplings of kind {coupling.kind!r}"
     for k, obj in enumerate(scene.object):
         if obj.motion and not obj.collider:
             yield ("object", k, "motion"), f"{message} bodies of particles that are moved"

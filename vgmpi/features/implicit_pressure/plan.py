@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from vgmpi.kernels.reproducible_sums import next_power_of_two
-from vgmpi.materials.couplings.interaction import CONTACT, DRAG, MIXING, PRESSURE
+from vgmpi.materials.couplings.interaction import CONTACT, MIXING, PRESSURE
 from vgmpi.planning.feature_plan import FeaturePlan, PlanDraft
 from vgmpi.planning.phases_and_groups import GroupPlan, PhasePlan, VolumeTerms, WaveTerms
 from vgmpi.planning.plan import Plan, time_step_bounds
@@ -178,7 +178,7 @@ def obstacles(
         elif material.tension == "off":
             _refuse(("material", name, "tension"), "liquids without tension")
     for k, coupling in enumerate(scene.coupling):
-        if coupling.rule == DRAG or (coupling.rule == MIXING and coupling.printed):
+        if coupling.rule == MIXING and coupling.printed:
             _refuse(("coupling", k, "kind"), f"couplings of kind {coupling.kind!r}")
         kinds = {scene.material[name].kind for name in coupling.between}
         if coupling.rule == CONTACT and coupling.friction and "fluid" in kinds:
