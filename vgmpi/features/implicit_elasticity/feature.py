@@ -20,7 +20,7 @@ class AccuracyKeys(StrictModel):
     each node alone; their waves bound the step. implicit: on all nodes of a solid together, by a
     system of equations of the grid that slows the waves that are shorter than some steps' way,
     without damping"""
-    elastic_courant_number: Annotated[float, Quantity("", gt=0, le=10)] = 2.0
+    elastic_courant_number: Annotated[float, Quantity("", gt=0, le=10)] = 3.0
     """cells that a wave of a solid goes in a step, at most, with elasticity = "implicit\""""
 
 

@@ -28,7 +28,7 @@ from vgmpi.runtime.jit import always_inline, kernel
 # follows it: this bounds the eigenvalues.
 MAX_CELL_FILL = 2.0
 MIN_NODE_FILL = 1e-9  # [-] lighter nodes have no velocity
-HEAVY_FILL = 0.2  # [-] nodes that hold less, relative to the fullest around them, follow others
+HEAVY_FILL = 0.1  # [-] nodes that hold less, relative to the fullest around them, follow others
 
 
 class SolidFields(NamedTuple):
