@@ -40,9 +40,18 @@ shape = { box = [[0, 0, 0], [1, WIDTH, WIDTH]] }
 
 
 def frequency(folder, cells):
-    """Measured frequency [Hz] from the zero crossings of the mode's velocity over three periods."""
+    """Measured frequency [Hz] of the first mode."""
+    return frequency_and_step(folder, cells)[0]
+
+
+def frequency_and_step(folder, cells, keys=""):
+    """The same from the zero crossings of the mode's velocity over three periods, and the step [s].
+
+    keys: further keys of [accuracy].
+    """
     dx = L / cells
     text = BAR.replace("SIZE", repr(1.25)).replace("WIDTH", repr(4 * dx)).replace("CELL", repr(dx))
+    text = text.replace("[domain]", keys + "[domain]")
     amplitude = 1e-4 * np.sqrt(E / RHO)
 
     def mode(x):
@@ -62,7 +71,7 @@ def frequency(folder, cells):
         values.append((v[:, 0] * shape).sum())
     # symplectic Euler staggers v half a step: a constant shift that differences of crossings do not
     # see
-    return 1 / oscillation.period(times, values)
+    return 1 / oscillation.period(times, values), dt
 
 
 def test_frequency_converges_with_second_order(tmp_path):

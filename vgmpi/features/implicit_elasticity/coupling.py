@@ -130,8 +130,7 @@ class ImplicitElasticity(ActiveFeature):
             touches = np.zeros(1, np.int64)
             nodes.call(
                 solid_sweeps.take_contact, system.used_rows, system.nodes,
-                np.array(self.plan.cells), nodes.velocities, system.fields, expected, impulses,
-                touches,
+                nodes.walls.cells, nodes.velocities, system.fields, expected, impulses, touches,
             )  # fmt: skip
             if self.ranks.max(touches.astype(float))[0] > 0:
                 w = system.answer(impulses)
@@ -184,7 +183,7 @@ class SolidSystem:
     def begin(self, state: NodeState, dt: float) -> None:
         """Take the masses of the nodes in a step of dt [s]. Collective."""
         self.state = state
-        plan, solid, fields, rows = self.context.plan, self.solid, self.fields, self.used_rows
+        plan, solid, fields = self.context.plan, self.solid, self.fields
         rows = np.arange(len(self.rows))
         of_scalars, walls = self.exchanges[0], state.walls
         state.call(
@@ -220,8 +219,7 @@ class SolidSystem:
             for values in (self.fields.mass, self.fields.is_attached)
         )
         self.used_rows = np.flatnonzero(own | attached)
-        for values in self.arrays:
-            values[:] = 0
+        self.arrays.remainder[:] = self.arrays.change[:] = 0  # of blocks that are used no more
 
     def find_ties(self, of_light: bool, last: Ties) -> Ties:
         """Return the ties of light nodes, or of heavy ones.

@@ -62,7 +62,7 @@ class CoarseLevels:
         self.sums, self.response_sums = np.zeros((count, 64)), np.zeros((count, 5, 64))
         self.ones = np.ones(64 * (count + 1), real)
         self.factors, self.last_factors = (
-            np.array(chebyshev_factors(sweeps), real) for sweeps in (CYCLE_SWEEPS, LAST_SWEEPS)
+            chebyshev_factors(sweeps, real) for sweeps in (CYCLE_SWEEPS, LAST_SWEEPS)
         )
 
     def set_systems(
@@ -154,7 +154,7 @@ class PressureSolver:
         self.coarse: CoarseLevels | None = None
         self.bodies: BodyResponse | None = None
         self.solids: SolidResponse | None = None
-        self.factors = np.array(chebyshev_factors(CYCLE_SWEEPS), real)
+        self.factors = chebyshev_factors(CYCLE_SWEEPS, real)
 
     def set_topology(
         self, block: np.ndarray, cells: CellTopology, counted_nodes: np.ndarray
@@ -246,7 +246,7 @@ class PressureSolver:
     def find_moves(self) -> None:
         """Set u to the displacements of a system whose right-hand side is the residual."""
         self.level.correction[:] = 0
-        self._sweep_from_zero(np.array(chebyshev_factors(POSITION_SWEEPS), self.real))
+        self._sweep_from_zero(chebyshev_factors(POSITION_SWEEPS, self.real))
         self.respond(self.level.correction)
 
     def _multiply(self, potential: np.ndarray, product: np.ndarray) -> None:

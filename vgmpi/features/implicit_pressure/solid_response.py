@@ -63,7 +63,8 @@ class SolidResponse:
             exchange: Exchange of the cells around those of this rank.
         """
         nodes, lattice = self.nodes, self.lattice
-        per_length = self.plan.real.type(1.0 / self.plan.dx)
+        real = self.plan.real.type
+        per_length = real(1.0 / self.plan.dx)
         for solid, rows, cells in zip(self.solids, self.rows, self.cells, strict=True):
             nodes.call(solid_rows.scale_parts, solid.block_of, fields, rows)
             nodes.call(solid_rows.set_means, cells, lattice, rows)
@@ -71,7 +72,9 @@ class SolidResponse:
             nodes.call(
                 solid_rows.read_velocities, blocks_of(solid), nodes.velocities, per_length, rows,
             )  # fmt: skip
-            nodes.call(solid_rows.subtract_divergence, cells, lattice, rows, level)
+            nodes.call(
+                solid_rows.add_divergence, cells, lattice, real(-1), rows, level, level.residual
+            )
         self.level = level
 
     def add_product(self, potential: np.ndarray, product: np.ndarray) -> None:
@@ -94,7 +97,9 @@ class SolidResponse:
             answer = solid.answer(impulses)
             self.answers.append(answer)
             nodes.call(solid_rows.store_answer, solid.block_of, answer, rows)
-            nodes.call(solid_rows.add_product, cells, lattice, rows, self.level, product)
+            nodes.call(
+                solid_rows.add_divergence, cells, lattice, real(1), rows, self.level, product
+            )
 
     def begin_totals(self) -> None:
         """Begin the sums of the answers with the last ones."""

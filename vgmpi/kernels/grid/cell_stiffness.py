@@ -8,10 +8,14 @@ The eight values of a cell are taken apart into their sums with signs along x, y
 xyz. These modes are orthogonal, so that a cell's K is a few products.
 """
 
-from vgmpi.kernels.simd.vector16 import load, store
+from typing import NamedTuple
+
+import numpy as np
+
+from vgmpi.kernels.simd.vector16 import load, pointer, store
 from vgmpi.runtime.jit import always_inline
 
-from .phase_nodes import EDGE, PATCH
+from .phase_nodes import EDGE, PATCH, gather_patch
 
 CELLS, OWN = 176, 144  # numbers from the first cell, and from the first own node, to the last one
 FIRST_OWN = EDGE * EDGE + EDGE + 1
@@ -106,7 +110,7 @@ def _sum_corners(forces, n):
 
 
 @always_inline
-def multiply_patch(cells, b, patch, forces, sums, trace, corner):
+def _multiply_patch(cells, b, patch, forces, sums, trace, corner):
     """Store the product of K and the velocities of a patch at the nodes of a block.
 
     Args:
@@ -131,3 +135,47 @@ def multiply_patch(cells, b, patch, forces, sums, trace, corner):
     for a in range(0, 3 * PATCH, PATCH):
         for n in range(FIRST_OWN, FIRST_OWN + OWN, 16):
             store(sums, a + n, _sum_corners(forces, a + n))
+
+
+class StiffnessScratch(NamedTuple):
+    """Scratch of `multiply_block`, and its result."""
+
+    patch: np.ndarray  # values of three patches
+    forces: np.ndarray  # at the corners of cells
+    sums: np.ndarray  # at the nodes of three patches
+    product: np.ndarray  # at the nodes of a block, 192
+
+
+@always_inline
+def stiffness_scratch(real):
+    """Return scratch for numbers of a type."""
+    return StiffnessScratch(
+        np.zeros(3 * PATCH, real), np.zeros(24 * PATCH, real), np.zeros(3 * PATCH, real),
+        np.zeros(192, real),
+    )  # fmt: skip
+
+
+@always_inline
+def multiply_block(values, neighbors, b, cells, trace, scratch):
+    """Multiply K and values at the nodes of a block, into the product of the scratch.
+
+    Args:
+        values: Nodal vectors, flat, 192 of a block.
+        neighbors: Rows of the 27 blocks around each, flat.
+        b: Block.
+        cells: Factors of cells, flat, PATCH of a block.
+        trace: Twice r.
+        scratch: StiffnessScratch (in/out).
+    """
+    for a in range(3):
+        gather_patch(values, 192, 64 * a, neighbors, b, scratch.patch, PATCH * a)
+    _multiply_patch(
+        pointer(cells), b, pointer(scratch.patch), pointer(scratch.forces), pointer(scratch.sums),
+        trace, values.dtype.type(4) - trace,
+    )  # fmt: skip
+    for a in range(3):
+        for i in range(4):
+            for j in range(4):
+                place = PATCH * a + FIRST_OWN + EDGE * (EDGE * i + j)
+                for k in range(4):
+                    scratch.product[64 * a + 16 * i + 4 * j + k] = scratch.sums[place + k]

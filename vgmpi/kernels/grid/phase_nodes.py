@@ -1,5 +1,6 @@
 """Nodes of one phase in blocks: where their numbers are, and what walls do to them."""
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -95,6 +96,7 @@ def gather_patch(values, size, first, neighbors, b, patch, start):
             patch[place + 5] = values[size * neighbors[line + 2] + node]
 
 
+@cache
 def cells_of_patch(real: np.dtype) -> np.ndarray:
     """Return 1 for the places of a patch that are cells, 0 for others, shape (PATCH,)."""
     is_cell = np.zeros((EDGE,) * 3)

@@ -8,12 +8,12 @@ The factors s are the inverse roots of a Chebyshev polynomial of which one root 
 sweep takes s = 1, and the others do not change momentum.
 """
 
-import numpy as np
-
-from vgmpi.kernels.grid.cell_stiffness import FIRST_OWN, multiply_patch
-from vgmpi.kernels.grid.phase_nodes import EDGE, PATCH, gather_patch, node_index_of
+from vgmpi.kernels.grid.cell_stiffness import multiply_block, stiffness_scratch
+from vgmpi.kernels.grid.phase_nodes import node_index_of
 from vgmpi.kernels.simd.vector16 import load, pointer, store
 from vgmpi.runtime.jit import kernel
+
+MIN_CHANGE = 1e-5  # [-] smaller changes of a velocity are rounding, no contact
 
 
 @kernel
@@ -29,26 +29,14 @@ def find_remainder(rows, neighbors, trace, impulses, fields, w, remainder):
         w: Changes of velocity, flat.
         remainder: Flat (out).
     """
-    real, four = w.dtype, w.dtype.type(4)
-    patch, forces = np.zeros(3 * PATCH, real), np.zeros(24 * PATCH, real)
-    sums, product = np.zeros(3 * PATCH, real), np.zeros(192, real)
+    scratch = stiffness_scratch(w.dtype)
     own, loose, out = pointer(impulses), pointer(fields.loose), pointer(remainder)
     for b in rows:
-        for a in range(3):
-            gather_patch(w, 192, 64 * a, neighbors, b, patch, PATCH * a)
-        multiply_patch(
-            pointer(fields.cells), b, pointer(patch), pointer(forces), pointer(sums), trace,
-            four - trace,
-        )  # fmt: skip
-        for a in range(3):
-            for i in range(4):
-                for j in range(4):
-                    place = PATCH * a + FIRST_OWN + EDGE * (EDGE * i + j)
-                    for k in range(4):
-                        product[64 * a + 16 * i + 4 * j + k] = sums[place + k]
+        multiply_block(w, neighbors, b, fields.cells, trace, scratch)
+        product = pointer(scratch.product)
         for q in range(0, 192, 16):
             n = 192 * b + q
-            store(out, n, load(loose, n) * (load(own, n) - load(pointer(product), q)))
+            store(out, n, load(loose, n) * (load(own, n) - load(product, q)))
 
 
 @kernel
@@ -211,7 +199,7 @@ def take_contact(rows, nodes, extent, velocity, fields, expected, impulses, touc
             for a in range(3):
                 n = 192 * b + 64 * a + q
                 change = velocity[nb, 4 * q + a] - expected[n]
-                if abs(change) > 1e-5 * abs(expected[n]):
+                if abs(change) > MIN_CHANGE * abs(expected[n]):
                     impulses[n] = mass * change
                     touches[0] = 1
 

@@ -5,6 +5,7 @@ and M the masses of the nodes, a sweep brings D M^-1 D^T correction nearer to th
 number of sweeps is fixed, so that all ranks agree (docs/explanation/implicit-pressure.md).
 """
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -48,8 +49,9 @@ class Sweeps(NamedTuple):
     min_eigenvalue: float  # [-] below it, the sweeps do little
 
 
-def chebyshev_factors(sweeps: Sweeps) -> list[tuple[float, float]]:
-    """Return (factor of the residual, factor of the last change) of each sweep.
+@cache
+def chebyshev_factors(sweeps: Sweeps, real: np.dtype) -> np.ndarray:
+    """Return factor of the residual and factor of the last change of each sweep, (sweeps, 2).
 
     References:
         Golub and Varga 1961: Chebyshev semi-iterative methods. Numer. Math. 3, 147-156.
@@ -61,7 +63,7 @@ def chebyshev_factors(sweeps: Sweeps) -> list[tuple[float, float]]:
         following = 1.0 / (2.0 * middle / half - rho)
         factors.append((2.0 * following / half, following * rho))
         rho = following
-    return factors
+    return np.array(factors, real)
 
 
 @kernel

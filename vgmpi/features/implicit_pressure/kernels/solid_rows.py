@@ -152,29 +152,6 @@ def read_velocities(blocks, velocity, per_length, solid):
 
 
 @kernel
-def subtract_divergence(rows, lattice, solid, level):
-    """Subtract G of the velocities of a solid from the residual in the cells of some blocks.
-
-    Args:
-        rows: Blocks to process, shape (n,).
-        lattice: Blocks, Lattice.
-        solid: SolidRows.
-        level: LevelFields (in/out).
-    """
-    high, u, shared, mean = (
-        pointer(lattice.high), pointer(solid.u), pointer(solid.shared), pointer(solid.mean)
-    )  # fmt: skip
-    scale, residual = pointer(level.scale), pointer(level.residual)
-    for b in rows:
-        for x in range(4):
-            c = 64 * b + 16 * x
-            own = divergence(shared, high, b, x) - load(mean, c) * divergence(u, high, b, x)
-            store(
-                residual, c, load(residual, c) - select(load(scale, c) > 0.0 * own, own, 0.0 * own)
-            )
-
-
-@kernel
 def set_tractions(block_of, lattice, factor, potential, solid, impulses):
     """Set the impulses G^T of a potential on the nodes of a solid.
 
@@ -222,25 +199,27 @@ def store_answer(block_of, answer, solid):
 
 
 @kernel
-def add_product(rows, lattice, solid, level, product):
-    """Add G of the velocities of a solid to a product with the system in some blocks.
+def add_divergence(rows, lattice, sign, solid, level, values):
+    """Add G of the velocities of a solid to numbers of the cells with pressure of some blocks.
 
     Args:
         rows: Blocks to process, shape (n,).
         lattice: Blocks, Lattice.
+        sign: 1, or -1 to subtract it.
         solid: SolidRows.
         level: LevelFields.
-        product: Numbers of the cells, flat (in/out).
+        values: Numbers of the cells, flat (in/out).
     """
     high, u, shared, mean = (
         pointer(lattice.high), pointer(solid.u), pointer(solid.shared), pointer(solid.mean)
     )  # fmt: skip
-    scale, out = pointer(level.scale), pointer(product)
+    scale, out = pointer(level.scale), pointer(values)
     for b in rows:
         for x in range(4):
             c = 64 * b + 16 * x
             own = divergence(shared, high, b, x) - load(mean, c) * divergence(u, high, b, x)
-            store(out, c, load(out, c) + select(load(scale, c) > 0.0 * own, own, 0.0 * own))
+            change = sign * select(load(scale, c) > 0.0 * own, own, 0.0 * own)
+            store(out, c, load(out, c) + change)
 
 
 @kernel

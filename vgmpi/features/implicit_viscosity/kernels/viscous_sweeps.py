@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vgmpi.kernels.grid.cell_stiffness import CELLS, FIRST_OWN, multiply_patch
-from vgmpi.kernels.grid.phase_nodes import EDGE, PATCH, gather_patch
+from vgmpi.kernels.grid.cell_stiffness import CELLS, multiply_block, stiffness_scratch
+from vgmpi.kernels.grid.phase_nodes import PATCH, gather_patch
 from vgmpi.kernels.simd.vector16 import load, pointer, store
 from vgmpi.runtime.aligned_arrays import aligned_zeros
 from vgmpi.runtime.jit import always_inline, kernel
@@ -98,23 +98,10 @@ def sweep(rows, neighbors, weight, inertia, has_normals, fields, before, after):
         before: Velocities [m/s], flat.
         after: The same after the sweep (out).
     """
-    real = before.dtype
-    patch, forces = np.zeros(3 * PATCH, real), np.zeros(24 * PATCH, real)
-    sums, product = np.zeros(3 * PATCH, real), np.zeros(192, real)
+    scratch, trace = stiffness_scratch(before.dtype), before.dtype.type(TRACE)
     for b in rows:
-        for a in range(3):
-            gather_patch(before, 192, 64 * a, neighbors, b, patch, PATCH * a)
-        multiply_patch(
-            pointer(fields.cells), b, pointer(patch), pointer(forces), pointer(sums),
-            before.dtype.type(TRACE), before.dtype.type(4.0 - TRACE),
-        )  # fmt: skip
-        for a in range(3):
-            for i in range(4):
-                for j in range(4):
-                    place = PATCH * a + FIRST_OWN + EDGE * (EDGE * i + j)
-                    for k in range(4):
-                        product[64 * a + 16 * i + 4 * j + k] = sums[place + k]
-        _relax(b, weight, inertia, pointer(product), fields, pointer(before))
+        multiply_block(before, neighbors, b, fields.cells, trace, scratch)
+        _relax(b, weight, inertia, pointer(scratch.product), fields, pointer(before))
         if has_normals[b]:
             _project(fields.step, fields.normal, b)
         own, step, result = pointer(before), pointer(fields.step), pointer(after)
