@@ -201,7 +201,11 @@ def test_a_hydrostatic_start_adds_no_mass(tmp_path):
 @pytest.mark.parametrize(
     "key, feature",
     [
-        ("pinned = { box = [[0, 0, 0.2], [0.1, 0.1, 0.22]] }", "pinned parts"),
+        (
+            "pinned = { box = [[0, 0, 0.2], [0.1, 0.1, 0.22]], motion = "
+            '{ keyframes = [{ time = "0.1 s", translation = [0.1, 0, 0] }] } }',
+            "pinned parts that move",
+        ),
         (
             'motion = { keyframes = [{ time = "0.1 s", translation = [0.1, 0, 0] }] }',
             "bodies of particles that are moved",

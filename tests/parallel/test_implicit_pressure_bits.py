@@ -280,6 +280,53 @@ sampling_rate = "100 Hz"
 """
 
 
+# water runs against a plank across the tank that the world and a post hold, and one that lets go
+PINNED = """
+[domain]
+size = [0.48, 0.16, 0.40]
+cell = 0.02
+boundary = "slip"
+[time]
+end = 0.12
+frames = 3
+[accuracy]
+pressure = "implicit"
+[material.water]
+kind = "fluid"
+max_speed = 2
+[material.rubber]
+kind = "elastic"
+density = 400
+youngs_modulus = "0.1 MPa"
+[[object]]
+name = "pool"
+material = "water"
+subtract = true
+velocity = [0.5, 0, 0]
+shape = { box = [[0, 0, 0], [0.48, 0.16, 0.14]] }
+[[object]]
+name = "plank"
+material = "rubber"
+shape = { box = [[0.06, 0.04, 0.08], [0.42, 0.12, 0.17]] }
+pinned = [{ box = [[0.06, 0, 0], [0.14, 0.16, 0.4]] },
+  { box = [[0.36, 0, 0], [0.44, 0.16, 0.4]], to = "post" }]
+[[object]]
+name = "flap"
+material = "rubber"
+shape = { box = [[0.2, 0.04, 0.22], [0.28, 0.12, 0.3]] }
+pinned = { box = [[0.2, 0, 0.27], [0.3, 0.16, 0.3]], release_time = 0.05 }
+[[object]]
+name = "post"
+role = "scenery"
+collider = true
+shape = { box = [[0.38, 0.06, -0.1], [0.42, 0.1, 0.14]] }
+[[probe]]
+name = "grip"
+collider = "plank"
+sampling_rate = "100 Hz"
+"""
+
+
 # by name: the scene, and the step after which it stops and goes on
 SCENES = {
     "several liquids": (LIQUIDS, 9),
@@ -287,6 +334,7 @@ SCENES = {
     "adhesion with implicit viscosity": (STUCK, 11),
     "bodies and walls": (BODIES, 9),
     "deformable solids": (SOLIDS, 11),
+    "pinned parts": (PINNED, 11),
 }
 
 

@@ -126,6 +126,8 @@ class DeformableSolid(Protocol):
         block_of: Rows of its blocks among the blocks of the rank, shape (n,).
         is_attached: 1 for nodes at which impulses reach the solid, flat, 64 of a block.
         loose: 1 for the directions in which no wall holds a node, flat, 192 of a block.
+        uptake: Impulse over mass and change of velocity of a node, flat, 64 of a block: 1, but vast
+            where something holds it.
         mass_of_cell: Mass of a full cell [kg].
     """
 
@@ -134,6 +136,7 @@ class DeformableSolid(Protocol):
     block_of: np.ndarray
     is_attached: np.ndarray
     loose: np.ndarray
+    uptake: np.ndarray
     mass_of_cell: float
 
     def answer(self, impulses: np.ndarray) -> np.ndarray:
@@ -152,6 +155,14 @@ class WallInflow(NamedTuple):
     velocities: np.ndarray  # (n, 3) [m/s]
     begin: float  # [s]
     end: float  # [s]
+
+
+class FilledNodes(NamedTuple):
+    """Nodes that something at rest fills which is not on the grid."""
+
+    nodes: np.ndarray  # (n, 3) nodes
+    parts: np.ndarray  # (n,) [-] filled part of the space around each, in an unbounded domain
+    row: int  # row of the reactions of what holds it
 
 
 class ActiveFeature:
@@ -191,6 +202,11 @@ class ActiveFeature:
     correction_origin = 0
     correction_interval = 0
     margin = 0.0
+
+    @property
+    def filled_nodes(self) -> Sequence[FilledNodes]:
+        """Return what keeps liquids with an implicit pressure out until the next sort."""
+        return ()
 
     def compile_kernels(self) -> None:
         """Compile, by calls without rows, the kernels that a first step may not call."""
@@ -338,6 +354,14 @@ class ActiveFeature:
             nodes: Nodes of the rank.
             span: The step.
             gravity: Acceleration, shape (3,) [m/s2].
+        """
+
+    def hold_nodes(self, nodes: NodeState, span: StepSpan) -> None:
+        """Give the nodes that it attaches their velocities, before those of others are found.
+
+        Args:
+            nodes: Nodes of the rank.
+            span: The step.
         """
 
     def end_coupling(self, span: StepSpan) -> None:

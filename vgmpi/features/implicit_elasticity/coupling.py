@@ -17,7 +17,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vgmpi.features.active_feature import ActiveFeature, NodeState, StartContext
+from vgmpi.features.active_feature import (
+    ActiveFeature,
+    NodeState,
+    StartContext,
+    reserved_nodes,
+)
 from vgmpi.kernels.grid.phase_nodes import PhaseNodes, cells_of_patch
 from vgmpi.kernels.step_records import StepSpan
 from vgmpi.parallel.block_ownership import BlockDirectory
@@ -33,6 +38,7 @@ BETA = 0.5  # [-] of Newmark's family: waves are stable from 1/4 on where K is a
 MAX_EIGENVALUE = 4.5  # [c2 dt2 / dx2] of M^-1 dt2 K; 3.5 within solids
 SHARED_BLOCKS = 400  # with fewer, one thread is faster than two that wait for each other
 MAX_ERROR = 0.1  # [-] of the answer to an impulse, relative to the impulse
+NO_MARKS = np.zeros((0, 64), np.uint8)
 
 
 def sweep_weights(stiffness: float) -> list[float]:
@@ -176,6 +182,7 @@ class SolidSystem:
         count = len(own.rows)
         self.fields = solid_fields(count, real)
         self.is_attached, self.loose = self.fields.is_attached, self.fields.loose
+        self.uptake = self.fields.uptake
         self.arrays = SweepArrays(*(aligned_zeros(192 * (count + 1), real) for _ in range(3)))
         self.used_rows = np.arange(count)
         self.ties = no_ties(real), no_ties(real)
@@ -186,12 +193,13 @@ class SolidSystem:
         plan, solid, fields = self.context.plan, self.solid, self.fields
         rows = np.arange(len(self.rows))
         of_scalars, walls = self.exchanges[0], state.walls
+        marks = reserved_nodes(self.context.features)
         state.call(
             solid_nodes.set_nodes, rows, self.nodes, walls.kinds_for_solids, walls.cells,
-            self.mass_of_cell, state.velocities, fields,
+            self.mass_of_cell, state.velocities, NO_MARKS if marks is None else marks, fields,
         )  # fmt: skip
-        of_scalars.exchange(fields.fill)
-        of_scalars.exchange(fields.mass)
+        for values in (fields.fill, fields.mass, fields.inverse_own):
+            of_scalars.exchange(values)
         state.call(solid_nodes.find_heavy_nodes, rows, self.neighbors, fields)
         of_scalars.exchange(fields.is_heavy)
         state.call(solid_nodes.attach_nodes, rows, self.neighbors, fields)
@@ -204,12 +212,18 @@ class SolidSystem:
         of_scalars.exchange(fields.inverse)
         state.call(solid_nodes.set_support, rows, self.ties[1], fields)
         of_scalars.exchange(fields.support)
+        if marks is not None:
+            state.call(solid_nodes.hold_nodes, rows, fields)
         courant = solid.wave_speed * dt / plan.dx
         stiffness = BETA * courant * courant
         self.weights = np.array(sweep_weights(stiffness), plan.real)
         state.call(
             solid_nodes.set_cells, self.used_rows, self.neighbors, cells_of_patch(plan.real),
             plan.real.type(stiffness * solid.shear_part), fields,
+        )  # fmt: skip
+        state.call(
+            solid_nodes.set_relative_response, self.used_rows, self.ties[1],
+            plan.real.type(solid.trace), fields,
         )  # fmt: skip
 
     def find_used_rows(self) -> None:
@@ -268,9 +282,9 @@ class SolidSystem:
                 impulses, fields, w, remainder,
             )  # fmt: skip
             exchange.exchange(remainder)
-            state.call(solid_sweeps.divide_by_mass, rows, pushes, fields, remainder, change)
+            state.call(solid_sweeps.divide_by_mass, rows, pushes, pulls, fields, remainder, change)
             exchange.exchange(change)
-            state.call(solid_sweeps.add_change, rows, weight, pulls, fields, change, w)
+            state.call(solid_sweeps.add_change, rows, weight, pulls, pushes, fields, change, w)
             exchange.exchange(w)
         return w
 

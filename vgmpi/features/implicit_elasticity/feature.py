@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from vgmpi.materials.couplings.interaction import CONTACT
 from vgmpi.materials.material import Quantity
 from vgmpi.runtime.config.schema import StrictModel
-from vgmpi.scene.scene_feature import SceneFeature, features
+from vgmpi.scene.scene_feature import SceneFeature
 
 
 class AccuracyKeys(StrictModel):
@@ -63,11 +63,11 @@ def obstacles(scene: Any) -> Iterator[tuple[tuple, str]]:
     for k, obj in enumerate(scene.object):
         if obj.motion and not obj.collider:
             yield ("object", k, "motion"), f"{message} bodies of particles that are moved"
-    for feature in features():
-        if feature.name == "pinned_parts":
-            for k, obj in enumerate(scene.object):
-                for key in feature.keys_of(obj)[:1]:
-                    yield ("object", k, key), f"{message} {feature.title}"
+    held_at_rest = {obj.name for obj in scene.object if obj.collider and not obj.motion}
+    for k, obj in enumerate(scene.object):
+        for part in obj.pinned:
+            if part.motion or part.to not in ("world", *held_at_rest):
+                yield ("object", k, "pinned"), f"{message} pinned parts that move"
 
 
 FEATURE = ImplicitElasticity()

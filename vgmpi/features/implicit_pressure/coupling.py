@@ -30,8 +30,8 @@ from .kernels import boundaries
 from .liquid_rows import LiquidRows, Liquids
 from .plan import DISPLACEMENT
 from .pressure_solver import PressureSolver
-from .pressure_system import INWARD_STEPS, ColliderNodes, pressure_fields
-from .solid_response import SolidResponse
+from .pressure_system import INWARD_STEPS, ColliderNodes, NodeReactions, pressure_fields
+from .solid_response import SolidResponse, select_nodes
 
 
 class SharedBlocks(NamedTuple):
@@ -83,8 +83,6 @@ class ImplicitPressure(ActiveFeature):
         inside = ((index >= 0) & (index < self.plan.cells)).all(2)
         cells = cells._replace(region=cells.region & inside, counted=cells.counted & inside)
         self.solver.set_topology(tables.coordinates, cells, counting_owner(tables, rank))
-        if self.solids is not None:
-            self.solids.set_topology(self.solver.lattice)
         if (self.colliders is not None or self.solids is not None) and self.ranks.size > 1:
             if self.node_exchange is not None:
                 self.node_exchange.link.close()
@@ -93,10 +91,16 @@ class ImplicitPressure(ActiveFeature):
         self.fields = pressure_fields(self.solver.count, real)
         self.fields.region[: 64 * self.solver.count] = cells.region.reshape(-1)
         self.liquids.set_topology(tables)
+        is_filled = np.zeros(self.solver.count, bool)
+        if self.solids is not None:
+            filled = [nodes for each in self.features.values() for nodes in each.filled_nodes]
+            is_filled = self.solids.fill_nodes(filled, self.solver, tables.coordinates, self.fields)
         near_colliders = np.flatnonzero(tables.solid >= 0)
         self.shared = SharedBlocks(near_colliders, near_colliders, near_colliders)
         if self.solids is not None:
-            covered = np.concatenate([near_colliders, *self.solids.cells])
+            self.solids.set_topology(self.solver.lattice, is_filled)
+            filled_cells = cells_at(self.solver.lattice, is_filled)
+            covered = np.concatenate([near_colliders, filled_cells, *self.solids.cells])
             nodes = np.union1d(near_colliders, self.solids.blocks)
             self.shared = SharedBlocks(near_colliders, nodes, np.unique(covered))
         if self.colliders is not None:  # they act on the liquid by the pressure
@@ -112,9 +116,11 @@ class ImplicitPressure(ActiveFeature):
         self.beside_separating = cells_at(self.solver.lattice, touches)
         on_any_wall = ((index == 0) | (index == last)).any((1, 2))
         self.at_walls = np.flatnonzero(((index <= 0) | (index >= last)).any((1, 2)))
-        self.at_boundaries = cells_at(self.solver.lattice, on_any_wall | (tables.solid >= 0))
+        self.at_boundaries = cells_at(
+            self.solver.lattice, on_any_wall | is_filled | (tables.solid >= 0)
+        )
         inflows = [inflow for each in self.features.values() for inflow in each.wall_inflows]
-        self.inflows = [_select_nodes(inflow, tables.coordinates) for inflow in inflows]
+        self.inflows = [_select_inflow(inflow, tables.coordinates) for inflow in inflows]
 
     def couple_nodes(self, nodes: NodeState, span: StepSpan, gravity: np.ndarray) -> None:
         """Change the velocities of the nodes in a step, and find the displacements.
@@ -129,6 +135,7 @@ class ImplicitPressure(ActiveFeature):
         velocity, walls = nodes.velocities, nodes.walls
         bodies, liquids = self._pushed_bodies(), self.liquids.rows_in(nodes.fields, dt)
         colliders = self._colliders_at(nodes, bodies)
+        self._hold_nodes(nodes, span)
         cells, wet = self._set_system(nodes, colliders, liquids, span)
         if self.solids is not None:
             assert solver.exchange is not None
@@ -146,7 +153,7 @@ class ImplicitPressure(ActiveFeature):
             own = self.liquids.mass_of_cell * plan.dx * fields.phi.astype(float) * solver.counted
             nodes.call(
                 boundaries.record_pressure, self.at_boundaries, lattice, walls, colliders, own,
-                fields, level, reaction,
+                fields, level, self._reactions(reaction),
             )  # fmt: skip
         nodes.call(
             boundaries.hold_at_separating_walls, self.separating, lattice, walls, liquids,
@@ -154,10 +161,11 @@ class ImplicitPressure(ActiveFeature):
         )  # fmt: skip
         if self.solids is not None:
             self.solids.add_velocities(velocity)
+            self._hold_nodes(nodes, span)
         scale = plan.real.type(1.0 / (dt * self.liquids.stiffness))
         solver.each(wet, pressure_system.store_node_pressure, lattice, scale, fields)
         if self.solids is not None:
-            self.solids.stop_spray(liquids, fields, fields.solid)
+            self.solids.stop_spray(liquids, fields, self._reactions(reaction))
         if len(self.shared.colliders):
             nodes.call(
                 boundaries.stop_at_colliders, self.shared.colliders, lattice, walls, liquids,
@@ -169,6 +177,16 @@ class ImplicitPressure(ActiveFeature):
                     self.reserved_nodes,
                 )  # fmt: skip
         self._find_displacements(nodes, liquids, cells, wet)
+
+    def _reactions(self, sums) -> NodeReactions:
+        """Return what records reactions at nodes in sums, or None."""
+        none = np.zeros((0, 64), np.int64)
+        return NodeReactions(sums, none if self.solids is None else self.solids.pinned_rows)
+
+    def _hold_nodes(self, nodes: NodeState, span: StepSpan) -> None:
+        """Let other features hold nodes of solids: what they take up so far is a reaction."""
+        for feature in self.features.values():
+            feature.hold_nodes(nodes, span)
 
     def _set_system(
         self, nodes: NodeState, colliders: ColliderNodes, liquids: LiquidRows, span: StepSpan
@@ -311,7 +329,7 @@ class ImplicitPressure(ActiveFeature):
         return rows[0], rows[1]
 
 
-def _select_nodes(
+def _select_inflow(
     inflow: WallInflow, coordinates: np.ndarray
 ) -> tuple[WallInflow, np.ndarray, np.ndarray]:
     """Return what enters at the nodes of some blocks, and the block and number of each node.
@@ -320,13 +338,9 @@ def _select_nodes(
         inflow: What enters.
         coordinates: Coordinates of the blocks, shape (blocks, 3).
     """
-    row_of = {tuple(block): row for row, block in enumerate(coordinates.tolist())}
-    block, step = np.divmod(inflow.nodes + 1, BLOCK_EDGE)
-    rows = np.array([row_of.get(tuple(each), -1) for each in block.tolist()])
-    own = rows >= 0
-    number = np.ravel_multi_index(tuple(step[own].T), (BLOCK_EDGE,) * 3)
+    own, block, number = select_nodes(inflow.nodes, coordinates)
     chosen = inflow._replace(nodes=inflow.nodes[own], velocities=inflow.velocities[own])
-    return chosen, rows[own], number
+    return chosen, block, number
 
 
 def cells_at(lattice: Lattice, touches: np.ndarray) -> np.ndarray:

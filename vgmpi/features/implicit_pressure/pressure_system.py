@@ -11,7 +11,7 @@ With several liquids, v is their mean by volume, and M^-1 their response (liquid
 (docs/explanation/implicit-pressure.md).
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -81,10 +81,19 @@ class PressureFields(NamedTuple):
     empty: np.ndarray  # 1 for nodes next to colliders with next to no liquid, else 0
     excess: np.ndarray  # liquid of cells less what colliders leave
     covered: np.ndarray  # 1 for cells of which colliders leave next to nothing, else 0
-    solid: np.ndarray  # part of nodes that solids have by their volume
+    solid: np.ndarray  # part of nodes that solids and their pinned parts have by their volume
     meeting: np.ndarray  # 1 for nodes at which solids meet each other
     solid_part: np.ndarray  # the same so that all parts sum up to 1
     solid_scale: np.ndarray  # ratio of the two
+    pinned: np.ndarray  # part of nodes that pinned parts of solids have, which are not on the grid
+    pinned_part: np.ndarray  # the same, less what colliders have, as part of `solid_part`
+
+
+class NodeReactions(NamedTuple):
+    """Sums of reactions at the nodes of a rank."""
+
+    sums: Any  # reaction sums, or None
+    pinned: np.ndarray  # (blocks + 1, 64) row of the pinned part at each node, -1 for none; or none
 
 
 class ColliderNodes(NamedTuple):
@@ -221,6 +230,9 @@ def _share_block(b, lattice, walls, dx, colliders, fields, level):
             distance += CURVATURE_SHIFT * curvature_at(b, q, lattice, colliders) / dx
         free_part = real(0.0 if is_closed else 1.0 - half_space_fraction(distance))
         wet, of_solids = fields.fill[64 * b + q], fields.solid[64 * b + q]
+        pinned = fields.pinned[64 * b + q]
+        shared = min(pinned, real(1.0) - free_part)  # with what holds it
+        of_solids, pinned = of_solids - shared, pinned - shared
         taken = real(1.0) - free_part + of_solids
         free_part = max(free_part - of_solids, real(0.0))
         share = min(free_part, wet) if free_part < RESOLVED_SHARE else free_part
@@ -228,14 +240,16 @@ def _share_block(b, lattice, walls, dx, colliders, fields, level):
             share = real(0.0)
         fields.free_part[64 * b + q], fields.share[64 * b + q] = free_part, share
         is_empty = free_part >= RESOLVED_SHARE and wet < EMPTY_PART * free_part
+        meets_collider = row >= 0 and taken > of_solids > MIN_MEETING_PART
         touches = fields.meeting[64 * b + q] > 0 or (
-            row >= 0 and taken > of_solids > MIN_MEETING_PART
+            meets_collider and not fields.pinned[64 * b + q] > 0
         )
         fields.empty[64 * b + q] = real(is_empty or touches)
         collider_share = real(1.0) - share if free_part < 1.0 else real(0.0)
         if of_solids > 0:
             fields.solid_scale[64 * b + q] = (real(1.0) - share) / taken
             fields.solid_part[64 * b + q] = of_solids * fields.solid_scale[64 * b + q]
+            fields.pinned_part[64 * b + q] = pinned * fields.solid_scale[64 * b + q]
             collider_share -= fields.solid_part[64 * b + q]
         for a in range(3):
             n = 192 * b + 64 * a + q
@@ -282,6 +296,7 @@ def set_cells(rows, lattice, guess_scale, has_solids, fields, level):
     correction, remainder = pointer(level.correction), pointer(level.remainder)
     free_part, empty = pointer(fields.free_part), pointer(fields.empty)
     solid_part, liquid_part = pointer(fields.solid_part), pointer(fields.share)
+    pinned_part = pointer(fields.pinned_part)
     excess, covered = pointer(fields.excess), pointer(fields.covered)
     for b in rows:
         for x in range(4):
@@ -300,6 +315,7 @@ def set_cells(rows, lattice, guess_scale, has_solids, fields, level):
             borders_air = mean_of_nodes(empty, high, b, x) > zero
             if has_solids:  # a solid feels no pressure within, and the system would be singular
                 part = mean_of_nodes(solid_part, high, b, x)
+                part = part - mean_of_nodes(pinned_part, high, b, x)
                 pore = mean_of_nodes(liquid_part, high, b, x)
                 borders_air = borders_air | ((part > zero + 0.5) & (pore < zero + MIN_PORE))
             may_hold = is_wet | (may_hold & is_covered & ~borders_air)

@@ -5,13 +5,15 @@ from typing import Any
 
 import numpy as np
 
-from vgmpi.features.active_feature import DeformableSolid, NodeState
+from vgmpi.features.active_feature import DeformableSolid, FilledNodes, NodeState
+from vgmpi.parallel.block_lattice import BLOCK_EDGE
 from vgmpi.parallel.cell_exchange import CellExchange
 from vgmpi.runtime.aligned_arrays import aligned_zeros
 
 from .kernels import solid_rows
 from .kernels.relaxation import LevelFields
 from .kernels.solid_rows import SolidBlocks, SolidRows
+from .pressure_system import NodeReactions
 
 
 class SolidResponse:
@@ -23,29 +25,58 @@ class SolidResponse:
         self.is_solid = np.isin(np.arange(len(plan.phases)), [each.phase for each in solids])
         self.rows: list[SolidRows] = []
 
-    def set_topology(self, lattice: Any) -> None:
-        """Take new blocks after a sort, a Lattice."""
+    def set_topology(self, lattice: Any, is_filled: np.ndarray) -> None:
+        """Take new blocks after a sort.
+
+        Args:
+            lattice: Blocks, a Lattice.
+            is_filled: Whether pinned parts have nodes of each block, shape (blocks,) bool.
+        """
         count, real = len(lattice.block), self.plan.real
         self.lattice = lattice
         self.rows = [solid_rows.solid_rows(count, real) for _ in self.solids]
         marks = [np.bincount(each.block_of, minlength=count) > 0 for each in self.solids]
         high = lattice.high.reshape(-1, 8)
-        self.blocks = np.flatnonzero(np.any(marks, 0))
+        self.blocks = np.flatnonzero(np.any([*marks, is_filled], 0))
         self.cells = [np.flatnonzero(np.append(mark, False)[high].any(1)) for mark in marks]
         sizes = [192 * (len(each.rows) + 1) for each in self.solids]
         self.impulses, self.totals = (
             [aligned_zeros(size, real) for size in sizes] for _ in range(2)
         )
 
+    def fill_nodes(
+        self, filled: Sequence[FilledNodes], system: Any, coordinates: np.ndarray, fields: Any
+    ) -> np.ndarray:
+        """Store what pinned parts have of the nodes; return which blocks have such nodes, (n,).
+
+        Args:
+            filled: Nodes that they fill.
+            system: System of the pressure with `domain`, a PressureSolver.
+            coordinates: Coordinates of the blocks, shape (n, 3).
+            fields: PressureFields (pinned out).
+        """
+        pinned, closed = fields.pinned.reshape(-1, 64), system.domain.closed
+        self.pinned_rows = np.full(pinned.shape, -1)
+        last = np.array(self.plan.cells)
+        for each in filled:
+            own, block, number = select_nodes(each.nodes, coordinates)
+            nodes = each.nodes[own]
+            on_wall = ((nodes == 0) & closed[:, 0]) | ((nodes == last) & closed[:, 1])
+            pinned[block, number] += each.parts[own] * 2.0 ** on_wall.sum(1)
+            self.pinned_rows[block, number] = each.row
+        pinned[:] = np.minimum(pinned, 1.0)
+        is_filled: np.ndarray = np.any(pinned[: len(coordinates)] > 0, axis=1)
+        return is_filled
+
     def read_parts(self, nodes: NodeState, fields: Any) -> None:
         """Read the parts of the solids at the nodes.
 
         Args:
             nodes: Nodes of the rank.
-            fields: PressureFields (solid and meeting out).
+            fields: PressureFields with `pinned` (solid and meeting out).
         """
         self.nodes, real = nodes, self.plan.real.type
-        for values in (fields.solid, fields.meeting, fields.solid_part):
+        for values in (fields.solid, fields.meeting, fields.solid_part, fields.pinned_part):
             values[:] = 0
         volumes, per_volume = nodes.fields["impulses"].nodes, real(1.0 / self.plan.dx**3)
         for solid, rows in zip(self.solids, self.rows, strict=True):
@@ -53,6 +84,7 @@ class SolidResponse:
                 solid_rows.read_parts, blocks_of(solid), volumes, self.lattice, nodes.walls,
                 per_volume, rows, fields,
             )  # fmt: skip
+        fields.solid[:] += fields.pinned
 
     def begin(self, fields: Any, level: LevelFields, exchange: CellExchange) -> None:
         """Take what the solids have of the nodes, and subtract what they do. Collective.
@@ -119,23 +151,42 @@ class SolidResponse:
         """
         dx = self.plan.real.type(self.plan.dx)
         for solid, total in zip(self.solids, self.totals, strict=True):
-            self.nodes.call(solid_rows.add_velocities, solid.rows, dx, total, velocity)
+            self.nodes.call(
+                solid_rows.add_velocities, solid.rows, solid.uptake, dx, total, velocity
+            )
 
-    def stop_spray(self, liquids: Any, fields: Any, total: np.ndarray) -> None:
+    def stop_spray(self, liquids: Any, fields: Any, reactions: NodeReactions) -> None:
         """Stop liquids that approach solids where no pressure acts.
 
         Args:
             liquids: LiquidRows.
-            fields: PressureFields.
-            total: Part of all solids, known around the nodes of this rank, flat.
+            fields: PressureFields, with `solid` known around the nodes of this rank.
+            reactions: Records the reactions of pinned parts.
         """
         nodes = self.nodes
         nodes.call(
             solid_rows.stop_at_solids, self.blocks, self.lattice, nodes.walls, self.is_solid,
-            liquids, fields, total, nodes.velocities,
+            liquids, fields, nodes.velocities, reactions,
         )  # fmt: skip
 
 
 def blocks_of(solid: DeformableSolid) -> SolidBlocks:
     """Return the blocks of a solid for kernels."""
     return SolidBlocks(solid.rows, solid.block_of, solid.is_attached, solid.loose)
+
+
+def select_nodes(
+    nodes: np.ndarray, coordinates: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return which nodes (n, 3) are those of some blocks, and the block and number of each of them.
+
+    Args:
+        nodes: Nodes, shape (n, 3).
+        coordinates: Coordinates of the blocks, shape (blocks, 3).
+    """
+    row_of = {tuple(block): row for row, block in enumerate(coordinates.tolist())}
+    block, step = np.divmod(nodes + 1, BLOCK_EDGE)
+    rows = np.array([row_of.get(tuple(each), -1) for each in block.tolist()], np.int64)
+    own = rows >= 0
+    number = np.ravel_multi_index(tuple(step[own].T), (BLOCK_EDGE,) * 3)
+    return own, rows[own], number

@@ -7,11 +7,17 @@ both signs and all directions, so the body is attached to the part. This is the 
 stick (docs/explanation/contact.md) without the condition that something touches.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from vgmpi.features.active_feature import ActiveFeature, NodeState, StartContext
+from vgmpi.features.active_feature import (
+    ActiveFeature,
+    FilledNodes,
+    NodeState,
+    StartContext,
+)
 from vgmpi.kernels.colliders.moving_colliders import MovingColliders
 from vgmpi.kernels.colliders.sdf_sampling import (
     distance_from_collider,
@@ -190,6 +196,16 @@ class PinnedCoupling(MovingColliders, ActiveFeature):
         if self.is_moving.any() or not self.thread_rows:
             self._find_nodes()
 
+    @property
+    def filled_nodes(self) -> Sequence[FilledNodes]:
+        """Return what the particles of the parts fill that have not let go."""
+        regions = [part.region for part in self.parts]
+        return [
+            FilledNodes(region.filled_nodes[0], region.filled_nodes[1], row)
+            for region, row in zip(regions, self.rows.tolist(), strict=True)
+            if region.release_time > self.now * TIME_TOLERANCE
+        ]
+
     def _find_nodes(self) -> None:
         """Find the nodes of this rank next to the parts."""
         tables = self.tables
@@ -256,6 +272,10 @@ class PinnedCoupling(MovingColliders, ActiveFeature):
             span: The step.
             gravity: Acceleration, shape (3,) [m/s2].
         """
+        self.hold_nodes(nodes, span)
+
+    def hold_nodes(self, nodes: NodeState, span: StepSpan) -> None:
+        """Change the velocities of the nodes next to parts; see `ActiveFeature.hold_nodes`."""
         nodes.each(self._couple, nodes, _fields(nodes), span.dt)
 
     def _couple(self, thread: int, nodes: NodeState, fields: PinnedFields, dt) -> None:

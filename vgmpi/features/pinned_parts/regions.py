@@ -52,6 +52,7 @@ class PinnedRegion:
     first: np.ndarray  # (3,) first cell of `close`
     close: np.ndarray  # (i, j, k) bool, cells close to a particle
     dx: float  # [m] cell size
+    filled_nodes: tuple[np.ndarray, np.ndarray]  # at the start, and their filled parts [-]
     course: Trajectory | None = None  # its motion, if it is prescribed
     body: None = None  # it is no free body itself
     release_time: float = np.inf  # [s] at which it lets go
@@ -150,7 +151,8 @@ def _region(
     return PinnedRegion(
         obj.name, k, part.to, holder, holder >= 0 and colliders[holder].body is not None, part,
         by_material, np.array([own.min(0), own.max(0)]), masses, first, close,
-        dx, course, release_time=part.release_time or np.inf,
+        dx, _filled_nodes(own / dx, vol0[chosen] / dx**3), course,
+        release_time=part.release_time or np.inf,
     )  # fmt: skip
 
 
@@ -196,6 +198,25 @@ def _point_masses(x: np.ndarray, volume: np.ndarray, density: np.ndarray) -> Rig
     second_moment += np.eye(3) * (mass * np.cbrt(volume) ** 2).sum() / 12.0  # particles are cubes
     inertia = np.trace(second_moment) * np.eye(3) - second_moment
     return RigidBody(float(mass.sum()), center, inertia, 0.0, 0.0, (0.0,) * 3, (0.0,) * 3)
+
+
+def _filled_nodes(x: np.ndarray, volume: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the nodes (n, 3) that particles fill by quadratic B-splines, and filled parts (n,).
+
+    Args:
+        x: Positions, shape (n, 3) [cells].
+        volume: Volumes, shape (n,) [cells].
+    """
+    base = np.floor(x - 0.5).astype(np.int64)
+    r = x - base
+    weights = 0.5 * (1.5 - r) ** 2, 0.75 - (r - 1.0) ** 2, 0.5 * (r - 0.5) ** 2
+    first = base.min(0)
+    parts = np.zeros(base.max(0) + 3 - first)
+    for i, j, k in np.ndindex(3, 3, 3):
+        part = volume * weights[i][:, 0] * weights[j][:, 1] * weights[k][:, 2]
+        np.add.at(parts, tuple((base + (i, j, k) - first).T), part)
+    places = np.nonzero(parts)
+    return np.stack(places, 1) + first, parts[places]
 
 
 def _warn_if_unrelated(name: str, part: PinnedPart, collider, x: np.ndarray, dx: float) -> None:

@@ -3,7 +3,11 @@
 A node that holds little of a solid has next to no mass, yet the stiffness of the cells around it is
 that of its neighbors. It follows these: its velocity is their mean T, by mass, and they take its
 mass and its impulses by T^T. So the masses that are left bound the stiffness, and momentum is
-exact. Light nodes without a heavy neighbor are on their own.
+exact. Light nodes without a heavy neighbor are on their own. What pulls a light node and its
+neighbors apart moves both, so that at rest the forces of each node balance, and moments do.
+
+A node that a pinned part holds is HELD_MASS times as heavy for the system: it does not move, and
+what it takes up of the impulses is known to the last digit.
 """
 
 from typing import NamedTuple
@@ -29,6 +33,8 @@ from vgmpi.runtime.jit import always_inline, kernel
 MAX_CELL_FILL = 2.0
 MIN_NODE_FILL = 1e-9  # [-] lighter nodes have no velocity
 HEAVY_FILL = 0.1  # [-] nodes that hold less, relative to the fullest around them, follow others
+RELATIVE_RESPONSE = 0.5  # [-] factor: the neighbors of light nodes are light, too
+HELD_MASS = 2.0**30  # [-] factor on the mass of nodes that are held
 
 
 class SolidFields(NamedTuple):
@@ -45,12 +51,16 @@ class SolidFields(NamedTuple):
     is_attached: np.ndarray  # 1 for nodes that are heavy or follow others
     inverse: np.ndarray  # inverse of the mass of a node and of what follows it
     support: np.ndarray  # that mass, with images at walls; of light nodes that of what they follow
+    inverse_own: np.ndarray  # inverse of the mass of a node alone
+    relative_response: np.ndarray  # of a light node and what it follows to what pulls them apart
+    is_held: np.ndarray  # 1 for nodes that a pinned part holds
+    uptake: np.ndarray  # impulse over mass and change of velocity: 1, but vast for those nodes
     cells: np.ndarray  # stiffness of the 5 x 5 x 5 cells of a block, in its patch, PATCH numbers
 
 
 def solid_fields(blocks: int, real: np.dtype) -> SolidFields:
     """Return fields of zeros for some blocks and the row of no block."""
-    sizes = (64, 64, 192, 64, 64, 64, 64, 64, PATCH)
+    sizes = (64, 64, 192, 64, 64, 64, 64, 64, 64, 64, 64, 64, PATCH)
     return SolidFields(*(aligned_zeros((blocks + 1) * size, real) for size in sizes))
 
 
@@ -64,8 +74,8 @@ class Ties(NamedTuple):
 
 
 @kernel
-def set_nodes(rows, nodes, kinds, extent, unit, velocity, fields):
-    """Read the nodes of some blocks, and what walls hold of them.
+def set_nodes(rows, nodes, kinds, extent, unit, velocity, marks, fields):
+    """Read the nodes of some blocks, and what walls and pinned parts hold of them.
 
     Args:
         rows: Blocks to process, shape (n,).
@@ -74,6 +84,7 @@ def set_nodes(rows, nodes, kinds, extent, unit, velocity, fields):
         extent: Cells of the domain, shape (3,).
         unit: Mass of a full cell [kg].
         velocity: Velocity [m/s] and mass [kg], shape (node blocks, 256).
+        marks: 1 at nodes that pinned parts hold, shape (node blocks, 64), or no rows.
         fields: SolidFields (out).
     """
     real = fields.fill.dtype.type
@@ -87,6 +98,11 @@ def set_nodes(rows, nodes, kinds, extent, unit, velocity, fields):
             counts = is_own and mass > MIN_NODE_FILL
             fields.mass[64 * b + q] = mass if counts else real(0)
             fields.fill[64 * b + q] = real(images) * mass if counts else real(0)
+            is_held = counts and len(marks) > 0 and marks[nb, q] > 0
+            fields.is_held[64 * b + q] = real(1) if is_held else real(0)
+            fields.uptake[64 * b + q] = real(HELD_MASS) if is_held else real(1)
+            own = mass * fields.uptake[64 * b + q]
+            fields.inverse_own[64 * b + q] = real(1) / own if counts else real(0)
             for a in range(3):
                 speed = velocity[nb, 4 * q + a]
                 is_loose = is_own and not _is_held(nodes.block[b], q, a, speed, kinds, extent)
@@ -139,7 +155,9 @@ def find_heavy_nodes(rows, neighbors, fields):
                 i, j, k = o // 9, o // 3 % 3, o % 3
                 other = place + EDGE * (EDGE * (i - 1) + j - 1) + k - 1
                 fullest = max(fullest, patch[other])
-            is_heavy = patch[place] > 0 and patch[place] >= real(HEAVY_FILL) * fullest
+            is_heavy = patch[place] > 0 and (
+                patch[place] >= real(HEAVY_FILL) * fullest or fields.is_held[64 * b + q] > 0
+            )
             fields.is_heavy[64 * b + q] = real(1) if is_heavy else real(0)
 
 
@@ -315,7 +333,9 @@ def set_support(rows, ties, fields):
     real = fields.fill.dtype.type
     for b in rows:
         for n in range(64 * b, 64 * (b + 1)):
-            if fields.is_heavy[n] > 0 and fields.inverse[n] > 0:
+            if fields.is_held[n] > 0:  # nothing bounds the stiffness beside it
+                fields.support[n] = real(1)
+            elif fields.is_heavy[n] > 0 and fields.inverse[n] > 0:
                 images = fields.fill[n] / fields.mass[n]
                 fields.support[n] = images / fields.inverse[n]
             else:
@@ -326,3 +346,37 @@ def set_support(rows, ties, fields):
             inverse = fields.inverse[ties.others[k]]
             total += ties.weights[k] / inverse if inverse > 0 else real(0)
         fields.support[ties.nodes[t]] = total
+
+
+@kernel
+def hold_nodes(rows, fields):
+    """Make the nodes of some blocks that pinned parts hold as heavy as such nodes are.
+
+    Args:
+        rows: Blocks to process, shape (n,).
+        fields: SolidFields (inverse in/out).
+    """
+    for b in rows:
+        for n in range(64 * b, 64 * (b + 1)):
+            if fields.is_held[n] > 0:
+                fields.inverse[n] = fields.inverse_own[n]
+
+
+@kernel
+def set_relative_response(rows, ties, trace, fields):
+    """Set by what part light nodes move apart from their neighbors, as stiff as the cells there.
+
+    Args:
+        rows: Blocks to process, shape (n,): those of the ties.
+        ties: Ties of light nodes to those that they follow.
+        trace: See kernels/grid/cell_stiffness.py.
+        fields: SolidFields (relative_response in/out).
+    """
+    real = fields.fill.dtype.type
+    diagonal = (real(4) - trace) / real(9)  # of a cell
+    for n in ties.nodes:
+        first, total = PATCH * (n // 64) + _place(n % 64), real(0)
+        for o in range(8):
+            total += fields.cells[first - o % 2 - EDGE * (o // 2 % 2) - EDGE * EDGE * (o // 4)]
+        mass = fields.mass[n]
+        fields.relative_response[n] = real(RELATIVE_RESPONSE) * mass / (mass + diagonal * total)

@@ -2,8 +2,10 @@
 
 With the masses M of heavy nodes and of what follows them, a sweep is
 
-    w = (1 - s) w + s T M^-1 T^T (r - K w)
+    w = (1 - s) w + s (T M^-1 T^T + Q D Q^T) (r - K w)
 
+where Q moves a light node and what it follows apart, without momentum: what is at rest has no force
+at any node.
 The factors s are the inverse roots of a Chebyshev polynomial of which one root is 1: the first
 sweep takes s = 1, and the others do not change momentum.
 """
@@ -40,12 +42,13 @@ def find_remainder(rows, neighbors, trace, impulses, fields, w, remainder):
 
 
 @kernel
-def divide_by_mass(rows, ties, fields, remainder, change):
-    """Set the change to M^-1 T^T of a remainder at the nodes of some blocks.
+def divide_by_mass(rows, ties, pulls, fields, remainder, change):
+    """Set the change to M^-1 T^T of a remainder at the heavy nodes of some blocks, and to D Q^T.
 
     Args:
         rows: Blocks to process, shape (n,).
         ties: Ties of heavy nodes to those that follow them.
+        pulls: Ties of light nodes to those that they follow.
         fields: SolidFields.
         remainder: Flat, 0 in directions that are held, known around the nodes of this rank.
         change: Flat (out).
@@ -67,16 +70,27 @@ def divide_by_mass(rows, ties, fields, remainder, change):
                 other = ties.others[k]
                 total += ties.weights[k] * remainder[192 * (other // 64) + 64 * a + other % 64]
             change[n] = fields.loose[n] * fields.inverse[64 * b + q] * total
+    for t in range(len(pulls.nodes)):
+        node = pulls.nodes[t]
+        for a in range(3):
+            n = 192 * (node // 64) + 64 * a + node % 64
+            total = fields.inverse_own[node] * remainder[n]
+            for k in range(pulls.first[t], pulls.first[t + 1]):
+                other = pulls.others[k]
+                left = remainder[192 * (other // 64) + 64 * a + other % 64]
+                total -= pulls.weights[k] * fields.inverse_own[other] * left
+            change[n] = fields.loose[n] * fields.relative_response[node] * total
 
 
 @kernel
-def add_change(rows, weight, ties, fields, change, w):
-    """Bring w to (1 - weight) w + weight T change at the nodes of some blocks.
+def add_change(rows, weight, ties, pushes, fields, change, w):
+    """Bring w to (1 - weight) w + weight (T, Q) change at the nodes of some blocks.
 
     Args:
         rows: Blocks to process, shape (n,).
         weight: Weight of the sweep.
         ties: Ties of light nodes to those that they follow.
+        pushes: Ties of heavy nodes to those that follow them.
         fields: SolidFields.
         change: Flat, known around the nodes of this rank.
         w: Flat (in/out).
@@ -95,6 +109,16 @@ def add_change(rows, weight, ties, fields, change, w):
                 other = ties.others[k]
                 total += ties.weights[k] * change[192 * (other // 64) + 64 * a + other % 64]
             w[n] += fields.loose[n] * weight * total
+    for t in range(len(pushes.nodes)):
+        node = pushes.nodes[t]
+        for a in range(3):
+            n = 192 * (node // 64) + 64 * a + node % 64
+            total = w.dtype.type(0)
+            for k in range(pushes.first[t], pushes.first[t + 1]):
+                other = pushes.others[k]
+                momentum = fields.mass[other] * change[192 * (other // 64) + 64 * a + other % 64]
+                total += pushes.weights[k] * momentum
+            w[n] -= fields.loose[n] * weight * fields.inverse_own[node] * total
 
 
 @kernel
@@ -112,8 +136,8 @@ def sweep(rows, neighbors, trace, weights, ties, impulses, fields, work):
     remainder, change, w = work
     for weight in weights:
         find_remainder(rows, neighbors, trace, impulses, fields, w, remainder)
-        divide_by_mass(rows, pushes, fields, remainder, change)
-        add_change(rows, weight, pulls, fields, change, w)
+        divide_by_mass(rows, pushes, pulls, fields, remainder, change)
+        add_change(rows, weight, pulls, pushes, fields, change, w)
 
 
 @kernel
@@ -151,8 +175,9 @@ def store_impulses(rows, nodes, unit, w, fields, nodal):
     for b in rows:
         nb = nodes.node_block[b]
         for q in range(64):
+            mass = unit * fields.mass[64 * b + q] * fields.uptake[64 * b + q]
             for a in range(3):
-                nodal[nb, 4 * q + a] = unit * fields.mass[64 * b + q] * w[192 * b + 64 * a + q]
+                nodal[nb, 4 * q + a] = mass * w[192 * b + 64 * a + q]
 
 
 @kernel
@@ -176,7 +201,7 @@ def expect_velocities(rows, nodes, velocity, w, expected):
 
 @kernel
 def take_contact(rows, nodes, extent, velocity, fields, expected, impulses, touches):
-    """Take the impulses of what has changed the nodes of some blocks, but for those on walls.
+    """Take the impulses of what has changed the nodes of some blocks, but for those that are held.
 
     Args:
         rows: Blocks to process, shape (n,).
@@ -194,7 +219,7 @@ def take_contact(rows, nodes, extent, velocity, fields, expected, impulses, touc
             for a in range(3):
                 node = node_index_of(nodes.block[b], q, a)
                 on_wall = on_wall or node <= 0 or node >= extent[a]
-            if on_wall or not mass > 0:
+            if on_wall or fields.is_held[64 * b + q] > 0 or not mass > 0:
                 continue
             for a in range(3):
                 n = 192 * b + 64 * a + q

@@ -241,8 +241,8 @@ def reserve_nodes(rows, liquids, colliders, fields, reserved):
 
 
 @kernel
-def record_pressure(rows, lattice, walls, colliders, potential, fields, level, reaction):
-    """Record what colliders and walls take up of the impulses of the cells of some blocks.
+def record_pressure(rows, lattice, walls, colliders, potential, fields, level, reactions):
+    """Record what colliders, walls and pinned parts take up of the impulses of some blocks' cells.
 
     Args:
         rows: Blocks to process, shape (n,).
@@ -252,8 +252,9 @@ def record_pressure(rows, lattice, walls, colliders, potential, fields, level, r
         potential: Impulse [kg m/s] of the cells that this rank counts, else 0, flat.
         fields: PressureFields.
         level: LevelFields.
-        reaction: Reaction sums (in/out).
+        reactions: NodeReactions (sums in/out).
     """
+    reaction, pinned = reactions.sums, reactions.pinned
     push, move, ijk = np.zeros(3), np.zeros(3), np.zeros(3, np.int64)
     none = np.zeros(4)
     for b in rows:
@@ -276,6 +277,13 @@ def record_pressure(rows, lattice, walls, colliders, potential, fields, level, r
                         move[a] = colliders.moves[row, node, a] if len(colliders.moves) > 0 else 0.0
                     set_collider(reaction, colliders.number[row, node], colliders.nodes[row, node])
                     add_pressure_reaction(reaction, colliders.number[row, node], push, move)
+                of_pinned = fields.pinned_part[64 * block + node]
+                if of_pinned > 0 and pinned[block, node] >= 0:
+                    for a in range(3):
+                        push[a] = -corner_sign(corner, a) * of_pinned * quarter
+                        move[a] = 0.0
+                    set_collider(reaction, pinned[block, node], none)
+                    add_pressure_reaction(reaction, pinned[block, node], push, move)
                 for a in range(3):
                     wall = holding_wall(block, node, a, lattice, walls)
                     if wall < 0 or level.inverse[192 * block + 64 * a + node] > 0:

@@ -10,6 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vgmpi.kernels.colliders.sdf_sampling import set_node_indices
+from vgmpi.kernels.reaction_impulses import (
+    add_contact_reaction,
+    set_block,
+    set_collider,
+    set_node,
+)
 from vgmpi.kernels.simd.vector16 import load, pointer, store
 from vgmpi.kernels.wall_boundary import OPEN
 from vgmpi.materials.tensor_math.select import select
@@ -223,19 +230,23 @@ def add_divergence(rows, lattice, sign, solid, level, values):
 
 
 @kernel
-def add_velocities(rows, dx, change, velocity):
+def add_velocities(rows, uptake, dx, change, velocity):
     """Add changes to the velocities of a solid at its nodes.
+
+    What is held takes up what would change the velocity of its mass: a reaction that follows.
 
     Args:
         rows: Node blocks of the solid, shape (n,).
+        uptake: See `DeformableSolid`.
         dx: Cell size [m].
         change: Flat, 192 of each block [cells/s].
         velocity: See `read_velocities` (in/out).
     """
     for i in range(len(rows)):
         for q in range(64):
+            factor = dx * uptake[64 * i + q]
             for a in range(3):
-                velocity[rows[i], 4 * q + a] += dx * change[192 * i + 64 * a + q]
+                velocity[rows[i], 4 * q + a] += factor * change[192 * i + 64 * a + q]
 
 
 @always_inline
@@ -250,7 +261,7 @@ def _value_beside(values, lattice, b, q, axis, step):
 
 
 @kernel
-def stop_at_solids(rows, lattice, walls, is_solid, liquids, fields, total, velocity):
+def stop_at_solids(rows, lattice, walls, is_solid, liquids, fields, velocity, reactions):
     """Stop the approach of liquids to solids at nodes where no pressure acts on them.
 
     Args:
@@ -259,13 +270,15 @@ def stop_at_solids(rows, lattice, walls, is_solid, liquids, fields, total, veloc
         walls: Walls of the domain, which hold their nodes.
         is_solid: Whether a phase is a deformable solid, shape (phases,) bool.
         liquids: LiquidRows.
-        fields: PressureFields; `cover` becomes above 0 at nodes with pressure around them.
-        total: Part of all solids, known around the nodes of this rank, flat.
+        fields: PressureFields, with `solid` known around the nodes of this rank; `cover` becomes
+            above 0 at nodes with pressure around them.
         velocity: Velocity [m/s] and mass [kg], shape (rows, 256) (velocities in/out).
+        reactions: NodeReactions (sums in/out).
     """
     low, filled, wet = pointer(lattice.low), pointer(fields.filled), pointer(fields.cover)
-    normal = np.zeros(3)
+    normal, total = np.zeros(3), fields.solid
     for b in rows:
+        set_block(reactions.sums, b)
         first, last = liquids.first[b], liquids.first[b + 1]
         lower, _, _ = differences_below(filled, low, 8 * b + 4, 48)
         for x in range(4):
@@ -310,3 +323,30 @@ def stop_at_solids(rows, lattice, walls, is_solid, liquids, fields, total, veloc
                         push = impulse * normal[a]
                         velocity[r, 4 * q + a] += velocity.dtype.type(push * of_solid)
                         velocity[s, 4 * q + a] -= velocity.dtype.type(push * of_liquid)
+                if fields.pinned_part[64 * b + q] > MIN_MEETING_PART:
+                    _stop_at_pinned_part(b, q, r, part, normal, lattice, velocity, reactions)
+
+
+@always_inline
+def _stop_at_pinned_part(b, q, r, part, normal, lattice, velocity, reactions):
+    """Stop the approach of a liquid to a pinned part, which is at rest.
+
+    Args:
+        b, q, r: Block, number of the node, and row of the liquid.
+        part: Part of the approach that ends.
+        normal: Outward normal of the solid, shape (3,).
+        lattice, velocity, reactions: See `stop_at_solids`.
+    """
+    before, none, ijk, approach = np.zeros(3), np.zeros(4), np.zeros(3, np.int64), 0.0
+    for a in range(3):
+        before[a] = velocity[r, 4 * q + a]
+        approach -= before[a] * normal[a]
+    for a in range(3):
+        push = part * max(approach, 0.0) * normal[a]
+        velocity[r, 4 * q + a] += velocity.dtype.type(push)
+    if reactions.pinned[b, q] >= 0:
+        set_node_indices(ijk, lattice.block[b], q)
+        set_node(reactions.sums, q, ijk[0], ijk[1], ijk[2])
+        set_collider(reactions.sums, reactions.pinned[b, q], none)
+        after = velocity[r, 4 * q : 4 * q + 4]
+        add_contact_reaction(reactions.sums, before, after, float(after[3]), np.zeros(3), 0, 0)
