@@ -124,6 +124,7 @@ class DeformableSolid(Protocol):
         phase: The phase.
         rows: Rows of its blocks among the node blocks of the rank, shape (n,).
         block_of: Rows of its blocks among the blocks of the rank, shape (n,).
+        occupied_rows: Numbers of those of its n blocks that have nodes at which impulses reach it.
         is_attached: 1 for nodes at which impulses reach the solid, flat, 64 of a block.
         loose: 1 for the directions in which no wall holds a node, flat, 192 of a block.
         uptake: Impulse over mass and change of velocity of a node, flat, 64 of a block: 1, but vast
@@ -134,6 +135,7 @@ class DeformableSolid(Protocol):
     phase: int
     rows: np.ndarray
     block_of: np.ndarray
+    occupied_rows: np.ndarray
     is_attached: np.ndarray
     loose: np.ndarray
     uptake: np.ndarray

@@ -35,21 +35,22 @@ class CellTopology(NamedTuple):
     size: int  # flat indices from here on are those of no block
 
 
-def _spread_along(values: np.ndarray, axis: int, reach: Reach) -> np.ndarray:
-    """Return which cells along one axis are in the patches of blocks that are True."""
-    blocks = np.moveaxis(values, axis, 0)
-    cells = np.repeat(blocks, BLOCK_EDGE, axis=0)
-    for cell, block_step in reach:
-        shifted = np.roll(blocks, block_step, axis=0)  # the margin is empty
-        cells[cell::BLOCK_EDGE] |= shifted
-    return np.moveaxis(cells, 0, axis)
-
-
 def patch_cells(blocks: np.ndarray, reach: Reach = CELLS_OF_PATCH) -> np.ndarray:
-    """Return the map of the cells in the patches of blocks, four times as long along each axis."""
+    """Return the map of the cells in the patches of blocks, four times as long along each axis.
+
+    Args:
+        blocks: Map of blocks, False at its margin, shape (x, y, z) bool.
+        reach: CELLS_OF_PATCH or NODES_OF_PATCH.
+    """
+    shape = BLOCK_EDGE * np.array(blocks.shape)
     for axis in range(3):
-        blocks = _spread_along(blocks, axis, reach)
-    return blocks
+        # a cell is in the patch of its own block, and of one beside it that reaches so far
+        cells = np.repeat(np.expand_dims(blocks, 2 * axis + 1), BLOCK_EDGE, 2 * axis + 1)
+        own = np.moveaxis(cells, 2 * axis + 1, 0)
+        for cell, step in reach:
+            own[cell] |= np.roll(blocks, step, 2 * axis)
+        blocks = cells
+    return blocks.reshape(shape)
 
 
 def _with_neighbors(cells: np.ndarray) -> np.ndarray:
@@ -93,6 +94,12 @@ def cell_topology(
         occupied[tuple((blocks - low).T)] = True
         return patch_cells(occupied, reach)
 
+    def _marks_of(cells: np.ndarray) -> np.ndarray:
+        """Return True for cells on the map, shape (n, 64)."""
+        by_block = cells.reshape([size for length in shape for size in (length, BLOCK_EDGE)])
+        x, y, z = (tables.coordinates - low).T
+        return by_block[x, :, y, :, z].reshape(count, 64)
+
     def _index_of(cells: np.ndarray) -> np.ndarray:
         """Return the flat indices of cells on the map, in the order of their places."""
         place = np.nonzero(cells)
@@ -100,29 +107,23 @@ def cell_topology(
         i, j, k = (p % BLOCK_EDGE for p in place)
         return 64 * row + 16 * i + 4 * j + k
 
-    def _marks_of(cells: np.ndarray) -> np.ndarray:
-        """Return True for cells on the map, shape (n, 64)."""
-        marks = np.zeros((count + 1, 64), bool)  # the last row is that of no block
-        marks.reshape(-1)[_index_of(cells)] = True
-        return marks[:count]
-
-    mine = _map_of(own)
-    counted = mine.copy()
+    mine = counted = _map_of(own)
     inside = ((block >= low) & (block < low + shape)).all(1)
     sends, receives = {}, {}
-    surroundings = _with_neighbors(mine)
-    for other in np.unique(census.owner[inside & (census.owner != rank)]):
+    others = np.unique(census.owner[inside & (census.owner != rank)])
+    surroundings = _with_neighbors(mine) if len(others) else mine
+    for other in others:
         theirs = _map_of(block[inside & (census.owner == other)])
         if other < rank:
-            counted &= ~theirs
+            counted = counted & ~theirs
         sent, received = mine & _with_neighbors(theirs) & ~theirs, theirs & surroundings & ~mine
         if sent.any():
             sends[int(other)] = _index_of(sent)
         if received.any():
             receives[int(other)] = _index_of(received)
-    return CellTopology(
-        neighbors, _marks_of(mine), _marks_of(counted), sends, receives, 64 * count
-    )  # fmt: skip
+    region = _marks_of(mine)
+    of_none_else = region if counted is mine else _marks_of(counted)
+    return CellTopology(neighbors, region, of_none_else, sends, receives, 64 * count)
 
 
 class PhaseTopology(NamedTuple):

@@ -25,6 +25,10 @@ class Lattice(NamedTuple):
     high: np.ndarray  # (8 n,) blocks at and above each
     neighbors: np.ndarray  # (27 n,) blocks around each
 
+    def cells_at(self, is_marked: np.ndarray) -> np.ndarray:
+        """Return the blocks of the cells around the nodes of marked blocks (n,)."""
+        return np.flatnonzero(np.append(is_marked, False)[self.high.reshape(-1, 8)].any(1))
+
 
 class CoarseBlocks(NamedTuple):
     """Blocks of the coarse levels in one table, level after level."""

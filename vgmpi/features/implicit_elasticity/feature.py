@@ -4,10 +4,12 @@ See docs/explanation/implicit-elasticity.md.
 """
 
 from collections.abc import Iterator
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import model_validator
 
 from vgmpi.materials.couplings.interaction import CONTACT
-from vgmpi.materials.material import Quantity
+from vgmpi.materials.material import Quantity, field_error
 from vgmpi.runtime.config.schema import StrictModel
 from vgmpi.scene.scene_feature import SceneFeature
 
@@ -18,10 +20,22 @@ class AccuracyKeys(StrictModel):
     elasticity: Literal["explicit", "implicit"] | None = None
     """how the stress of solids acts, by default as the pressure of liquids is found. explicit: on
     each node alone; their waves bound the step. implicit: on all nodes of a solid together, by a
-    system of equations of the grid that slows the waves that are shorter than some steps' way,
-    without damping"""
+    system of equations of the grid that slows the waves that are shorter than some steps' way. It
+    needs transfer = "apic", which is then the default, or "pic\""""
     elastic_courant_number: Annotated[float, Quantity("", gt=0, le=10)] = 3.0
     """cells that a wave of a solid goes in a step, at most, with elasticity = "implicit\""""
+
+    @model_validator(mode="after")
+    def _check_elasticity(self) -> Self:
+        if self.elasticity != "implicit":
+            return self
+        # what other transfers restore of waves that are slowed makes them grow
+        if "transfer" not in self.model_fields_set:
+            object.__setattr__(self, "transfer", "apic")
+        elif getattr(self, "transfer", "apic") not in ("apic", "pic"):
+            message = "elasticity = 'implicit' needs transfer = 'apic' or 'pic'"
+            raise field_error(self, "transfer", message)
+        return self
 
 
 class ImplicitElasticity(SceneFeature):
@@ -55,8 +69,6 @@ class ImplicitElasticity(SceneFeature):
 def obstacles(scene: Any) -> Iterator[tuple[tuple, str]]:
     """Yield (path of a key, message) of all that an implicit elasticity does not know."""
     message = "accuracy.elasticity = 'implicit' is not for"
-    if scene.accuracy.is_flip:
-        yield ("accuracy", "transfer"), f"{message} FLIP"
     for k, coupling in enumerate(scene.coupling):
         if coupling.rule != CONTACT:
             yield ("coupling", k, "kind"), f"{message} couplings of kind {coupling.kind!r}"

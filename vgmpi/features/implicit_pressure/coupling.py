@@ -21,7 +21,6 @@ from vgmpi.kernels.step_records import StepSpan
 from vgmpi.parallel.block_lattice import BLOCK_EDGE
 from vgmpi.parallel.block_ownership import BlockDirectory
 from vgmpi.parallel.cell_exchange import NODES_OF_PATCH, CellExchange, cell_topology
-from vgmpi.parallel.coarse_blocks import Lattice
 from vgmpi.parallel.exchange_topology import ExchangeTopology, counting_owner
 
 from . import pressure_system
@@ -75,12 +74,9 @@ class ImplicitPressure(ActiveFeature):
         """
         rank, real = self.ranks.rank, self.plan.real
         cells = cell_topology(tables, census, self.lattice, rank)
-        index = (
-            BLOCK_EDGE * tables.coordinates[:, None]
-            - 1
-            + np.stack(np.unravel_index(np.arange(64), (BLOCK_EDGE,) * 3), 1)
-        )
-        inside = ((index >= 0) & (index < self.plan.cells)).all(2)
+        # of the four nodes, or the cells above them, along each axis of a block: (n, 4, 3)
+        index = BLOCK_EDGE * tables.coordinates[:, None] - 1 + np.arange(BLOCK_EDGE)[:, None]
+        inside = ~_any_axis((index < 0) | (index >= self.plan.cells))
         cells = cells._replace(region=cells.region & inside, counted=cells.counted & inside)
         self.solver.set_topology(tables.coordinates, cells, counting_owner(tables, rank))
         if (self.colliders is not None or self.solids is not None) and self.ranks.size > 1:
@@ -99,7 +95,7 @@ class ImplicitPressure(ActiveFeature):
         self.shared = SharedBlocks(near_colliders, near_colliders, near_colliders)
         if self.solids is not None:
             self.solids.set_topology(self.solver.lattice, is_filled)
-            filled_cells = cells_at(self.solver.lattice, is_filled)
+            filled_cells = self.solver.lattice.cells_at(is_filled)
             covered = np.concatenate([near_colliders, filled_cells, *self.solids.cells])
             nodes = np.union1d(near_colliders, self.solids.blocks)
             self.shared = SharedBlocks(near_colliders, nodes, np.unique(covered))
@@ -108,16 +104,16 @@ class ImplicitPressure(ActiveFeature):
             self.reserved_nodes = np.repeat(is_liquid[:, None], 64, 1).astype(np.uint8)
         closed = self.solver.domain.closed
         is_beyond = ((index < 0) & closed[:, 0]) | ((index >= self.plan.cells) & closed[:, 1])
-        self.outside = is_beyond.any(2).astype(real).reshape(-1)
+        self.outside = _any_axis(is_beyond).astype(real).reshape(-1)
         separates, last = self.separating_walls, np.array(self.plan.cells)
         on_wall = ((index == 0) & separates[:, 0]) | ((index == last) & separates[:, 1])
         touches = on_wall.any((1, 2))
         self.separating = np.flatnonzero(touches)
-        self.beside_separating = cells_at(self.solver.lattice, touches)
+        self.beside_separating = self.solver.lattice.cells_at(touches)
         on_any_wall = ((index == 0) | (index == last)).any((1, 2))
         self.at_walls = np.flatnonzero(((index <= 0) | (index >= last)).any((1, 2)))
-        self.at_boundaries = cells_at(
-            self.solver.lattice, on_any_wall | is_filled | (tables.solid >= 0)
+        self.at_boundaries = self.solver.lattice.cells_at(
+            on_any_wall | is_filled | (tables.solid >= 0)
         )
         inflows = [inflow for each in self.features.values() for inflow in each.wall_inflows]
         self.inflows = [_select_inflow(inflow, tables.coordinates) for inflow in inflows]
@@ -343,6 +339,7 @@ def _select_inflow(
     return chosen, block, number
 
 
-def cells_at(lattice: Lattice, touches: np.ndarray) -> np.ndarray:
-    """Return the blocks of the cells around the nodes of marked blocks (n,)."""
-    return np.flatnonzero(np.append(touches, False)[lattice.high.reshape(-1, 8)].any(1))
+def _any_axis(is_marked: np.ndarray) -> np.ndarray:
+    """Return whether the nodes of blocks are marked along any axis, (n, 64), given (n, 4, 3)."""
+    x, y, z = np.moveaxis(is_marked, 2, 0)
+    return (x[:, :, None, None] | y[:, None, :, None] | z[:, None, None]).reshape(len(x), 64)

@@ -35,10 +35,11 @@ class SolidResponse:
         count, real = len(lattice.block), self.plan.real
         self.lattice = lattice
         self.rows = [solid_rows.solid_rows(count, real) for _ in self.solids]
-        marks = [np.bincount(each.block_of, minlength=count) > 0 for each in self.solids]
-        high = lattice.high.reshape(-1, 8)
-        self.blocks = np.flatnonzero(np.any([*marks, is_filled], 0))
-        self.cells = [np.flatnonzero(np.append(mark, False)[high].any(1)) for mark in marks]
+        self.cells = [self._cells_at(each.block_of) for each in self.solids]
+        self.cells_with_solid = [np.zeros(0, np.int64) for _ in self.solids]
+        self.nodal_blocks = [np.zeros(0, np.int64) for _ in self.solids]
+        blocks = [each.block_of for each in self.solids]
+        self.blocks = np.unique(np.concatenate([np.flatnonzero(is_filled), *blocks]))
         sizes = [192 * (len(each.rows) + 1) for each in self.solids]
         self.impulses, self.totals = (
             [aligned_zeros(size, real) for size in sizes] for _ in range(2)
@@ -78,6 +79,7 @@ class SolidResponse:
         self.nodes, real = nodes, self.plan.real.type
         for values in (fields.solid, fields.meeting, fields.solid_part, fields.pinned_part):
             values[:] = 0
+        self._find_blocks()
         volumes, per_volume = nodes.fields["impulses"].nodes, real(1.0 / self.plan.dx**3)
         for solid, rows in zip(self.solids, self.rows, strict=True):
             nodes.call(
@@ -85,6 +87,20 @@ class SolidResponse:
                 per_volume, rows, fields,
             )  # fmt: skip
         fields.solid[:] += fields.pinned
+
+    def _find_blocks(self) -> None:
+        """Find the blocks with nodes at which impulses reach a solid, and the cells at these."""
+        for k, solid in enumerate(self.solids):
+            if np.array_equal(self.nodal_blocks[k], solid.occupied_rows):
+                continue
+            self.nodal_blocks[k] = solid.occupied_rows
+            self.cells_with_solid[k] = self._cells_at(solid.block_of[solid.occupied_rows])
+            for values in self.rows[k]:
+                values[:] = 0
+
+    def _cells_at(self, blocks: np.ndarray) -> np.ndarray:
+        """Return the blocks of the cells that have nodes in some blocks."""
+        return self.lattice.cells_at(np.bincount(blocks, minlength=len(self.lattice.block)) > 0)
 
     def begin(self, fields: Any, level: LevelFields, exchange: CellExchange) -> None:
         """Take what the solids have of the nodes, and subtract what they do. Collective.
@@ -97,8 +113,8 @@ class SolidResponse:
         nodes, lattice = self.nodes, self.lattice
         real = self.plan.real.type
         per_length = real(1.0 / self.plan.dx)
-        for solid, rows, cells in zip(self.solids, self.rows, self.cells, strict=True):
-            nodes.call(solid_rows.scale_parts, solid.block_of, fields, rows)
+        for solid, rows, cells in zip(self.solids, self.rows, self.cells_with_solid, strict=True):
+            nodes.call(solid_rows.scale_parts, blocks_of(solid), fields, rows)
             nodes.call(solid_rows.set_means, cells, lattice, rows)
             exchange.exchange(rows.mean)
             nodes.call(
@@ -118,17 +134,17 @@ class SolidResponse:
         """
         nodes, lattice, real = self.nodes, self.lattice, self.plan.real.type
         self.answers = []
-        parts = zip(self.solids, self.rows, self.cells, self.impulses, strict=True)
+        parts = zip(self.solids, self.rows, self.cells_with_solid, self.impulses, strict=True)
         for solid, rows, cells, impulses in parts:
             np.multiply(rows.mean, potential, out=rows.weighted)
             factor = real(self.mass_of_cell / solid.mass_of_cell)
             nodes.call(
-                solid_rows.set_tractions, solid.block_of, lattice, factor, potential, rows,
+                solid_rows.set_tractions, blocks_of(solid), lattice, factor, potential, rows,
                 impulses,
             )  # fmt: skip
             answer = solid.answer(impulses)
             self.answers.append(answer)
-            nodes.call(solid_rows.store_answer, solid.block_of, answer, rows)
+            nodes.call(solid_rows.store_answer, blocks_of(solid), answer, rows)
             nodes.call(
                 solid_rows.add_divergence, cells, lattice, real(1), rows, self.level, product
             )
@@ -152,7 +168,7 @@ class SolidResponse:
         dx = self.plan.real.type(self.plan.dx)
         for solid, total in zip(self.solids, self.totals, strict=True):
             self.nodes.call(
-                solid_rows.add_velocities, solid.rows, solid.uptake, dx, total, velocity
+                solid_rows.add_velocities, blocks_of(solid), solid.uptake, dx, total, velocity
             )
 
     def stop_spray(self, liquids: Any, fields: Any, reactions: NodeReactions) -> None:
@@ -172,7 +188,9 @@ class SolidResponse:
 
 def blocks_of(solid: DeformableSolid) -> SolidBlocks:
     """Return the blocks of a solid for kernels."""
-    return SolidBlocks(solid.rows, solid.block_of, solid.is_attached, solid.loose)
+    return SolidBlocks(
+        solid.occupied_rows, solid.rows, solid.block_of, solid.is_attached, solid.loose
+    )
 
 
 def select_nodes(

@@ -28,6 +28,7 @@ from vgmpi.materials.tensor_math.select import select
 from vgmpi.runtime.aligned_arrays import aligned_zeros
 from vgmpi.runtime.jit import always_inline, kernel
 
+BORDER = 48  # numbers around a patch, of which EDGE^2 and a vector are read
 # [-] No cell is stiffer than one so many times as full as the lightest of its nodes with what
 # follows it: this bounds the eigenvalues.
 MAX_CELL_FILL = 2.0
@@ -90,10 +91,12 @@ def set_nodes(rows, nodes, kinds, extent, unit, velocity, marks, fields):
     real = fields.fill.dtype.type
     per_cell = real(1.0 / unit)
     for b in rows:
-        nb = nodes.node_block[b]
+        nb, at_wall = nodes.node_block[b], _is_at_wall(nodes.block[b], extent)
         for q in range(64):
             mass = velocity[nb, 4 * q + 3] * per_cell
-            images, is_inside = count_images(nodes.block[b], q, kinds, extent)
+            images, is_inside = 1, True
+            if at_wall:
+                images, is_inside = count_images(nodes.block[b], q, kinds, extent)
             is_own = is_inside and nodes.region[b, q]
             counts = is_own and mass > MIN_NODE_FILL
             fields.mass[64 * b + q] = mass if counts else real(0)
@@ -104,9 +107,21 @@ def set_nodes(rows, nodes, kinds, extent, unit, velocity, marks, fields):
             own = mass * fields.uptake[64 * b + q]
             fields.inverse_own[64 * b + q] = real(1) / own if counts else real(0)
             for a in range(3):
-                speed = velocity[nb, 4 * q + a]
-                is_loose = is_own and not _is_held(nodes.block[b], q, a, speed, kinds, extent)
+                is_loose = is_own
+                if at_wall and is_own:
+                    speed = velocity[nb, 4 * q + a]
+                    is_loose = not _is_held(nodes.block[b], q, a, speed, kinds, extent)
                 fields.loose[192 * b + 64 * a + q] = real(1) if is_loose else real(0)
+
+
+@always_inline
+def _is_at_wall(block, extent):
+    """Return whether a block has nodes on the walls or beyond them."""
+    result = False
+    for a in range(3):
+        first = node_index_of(block, 0, a)
+        result = result or first <= 0 or first + 3 >= extent[a]
+    return result
 
 
 @always_inline
@@ -146,19 +161,41 @@ def find_heavy_nodes(rows, neighbors, fields):
         fields: SolidFields, with the fill around the nodes of this rank (in/out).
     """
     real = fields.fill.dtype.type
-    patch = np.zeros(PATCH, fields.fill.dtype)
+    patch, line, plane, fullest = _wide_patches(fields.fill.dtype)
     for b in rows:
-        gather_patch(fields.fill, 64, 0, neighbors, b, patch, 0)
+        gather_patch(fields.fill, 64, 0, neighbors, b, patch, BORDER)
+        _take_largest(pointer(patch), pointer(line), 1)
+        _take_largest(pointer(line), pointer(plane), EDGE)
+        _take_largest(pointer(plane), pointer(fullest), EDGE * EDGE)
         for q in range(64):
-            place, fullest = _place(q), real(0)
-            for o in range(27):
-                i, j, k = o // 9, o // 3 % 3, o % 3
-                other = place + EDGE * (EDGE * (i - 1) + j - 1) + k - 1
-                fullest = max(fullest, patch[other])
+            place = BORDER + _place(q)
             is_heavy = patch[place] > 0 and (
-                patch[place] >= real(HEAVY_FILL) * fullest or fields.is_held[64 * b + q] > 0
+                patch[place] >= real(HEAVY_FILL) * fullest[place] or fields.is_held[64 * b + q] > 0
             )
             fields.is_heavy[64 * b + q] = real(1) if is_heavy else real(0)
+
+
+@always_inline
+def _wide_patches(real):
+    """Return four patches with room around them."""
+    size = PATCH + 2 * BORDER
+    return np.zeros(size, real), np.zeros(size, real), np.zeros(size, real), np.zeros(size, real)
+
+
+@always_inline
+def _take_largest(values, out, step):
+    """Set a patch to the largest numbers of each place and the two beside it along an axis."""
+    for c in range(BORDER, BORDER + PATCH, 16):
+        larger = np.maximum(load(values, c - step), load(values, c + step))
+        store(out, c, np.maximum(load(values, c), larger))
+
+
+@always_inline
+def _add_half_beside(values, out, step):
+    """Set a patch to the numbers of each place and half of the two beside it along an axis."""
+    for c in range(BORDER, BORDER + PATCH, 16):
+        sums = load(values, c - step) + load(values, c + step)
+        store(out, c, load(values, c) + 0.5 * sums)
 
 
 @kernel
@@ -171,24 +208,26 @@ def attach_nodes(rows, neighbors, fields):
         fields: SolidFields, with heavy nodes around those of this rank (in/out).
     """
     real = fields.fill.dtype.type
-    patch, heavy = np.zeros(PATCH, fields.fill.dtype), np.zeros(PATCH, fields.fill.dtype)
+    patch, line, plane, sums = _wide_patches(fields.fill.dtype)
+    heavy = np.zeros(PATCH + 2 * BORDER, fields.fill.dtype)
     for b in rows:
-        gather_patch(fields.fill, 64, 0, neighbors, b, patch, 0)
-        gather_patch(fields.is_heavy, 64, 0, neighbors, b, heavy, 0)
+        gather_patch(fields.fill, 64, 0, neighbors, b, patch, BORDER)
+        gather_patch(fields.is_heavy, 64, 0, neighbors, b, heavy, BORDER)
+        for place in range(BORDER, BORDER + PATCH):
+            patch[place] *= heavy[place]
+        _add_half_beside(pointer(patch), pointer(line), 1)
+        _add_half_beside(pointer(line), pointer(plane), EDGE)
+        _add_half_beside(pointer(plane), pointer(sums), EDGE * EDGE)
         for q in range(64):
-            n, place, total = 64 * b + q, _place(q), real(0)
-            first = 192 * b + q
+            n, first, place = 64 * b + q, 192 * b + q, BORDER + _place(q)
             is_loose = (
                 fields.loose[first] + fields.loose[first + 64] + fields.loose[first + 128] > 0
             )
-            if not heavy[place] > 0 and is_loose:
-                for o in range(27):
-                    i, j, k = o // 9, o // 3 % 3, o % 3
-                    other = place + EDGE * (EDGE * (i - 1) + j - 1) + k - 1
-                    if heavy[other] > 0:
-                        total += real(_weight(i, j, k)) * patch[other]
+            is_light = not heavy[place] > 0
+            # twice the sum: see the weights of `_weight`
+            total = real(2) * sums[place] if is_light and is_loose else real(0)
             fields.follows[n] = real(1) / total if total > 0 else real(0)
-            is_attached = heavy[place] > 0 or total > 0
+            is_attached = not is_light or total > 0
             fields.is_attached[n] = real(1) if is_attached else real(0)
 
 

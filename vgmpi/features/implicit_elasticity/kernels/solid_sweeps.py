@@ -19,6 +19,20 @@ MIN_CHANGE = 1e-5  # [-] smaller changes of a velocity are rounding, no contact
 
 
 @kernel
+def begin_remainder(rows, impulses, fields, remainder):
+    """Set the remainder of no change of velocity, the impulses, at the nodes of some blocks.
+
+    Args:
+        rows: Blocks to process, shape (n,).
+        impulses, fields, remainder: See `find_remainder`.
+    """
+    own, loose, out = pointer(impulses), pointer(fields.loose), pointer(remainder)
+    for b in rows:
+        for n in range(192 * b, 192 * (b + 1), 16):
+            store(out, n, load(loose, n) * load(own, n))
+
+
+@kernel
 def find_remainder(rows, neighbors, trace, impulses, fields, w, remainder):
     """Set the remainder to the impulses less K w at the nodes of some blocks.
 
@@ -123,19 +137,22 @@ def add_change(rows, weight, ties, pushes, fields, change, w):
 
 @kernel
 def sweep(rows, neighbors, trace, weights, ties, impulses, fields, work):
-    """Make sweeps over a solid whose nodes no other thread or rank computes.
+    """Make sweeps from no change over a solid whose nodes no other thread or rank computes.
 
     Args:
         rows: Blocks to process, shape (n,).
         neighbors, trace, impulses, fields: See `find_remainder`.
         weights: Weights of the sweeps.
         ties: Ties of heavy nodes to those that follow them, and of these to those.
-        work: Remainder and change, scratch, and w (in/out), flat.
+        work: Remainder and change, scratch, and w, 0 (in/out), flat.
     """
     pushes, pulls = ties
     remainder, change, w = work
-    for weight in weights:
-        find_remainder(rows, neighbors, trace, impulses, fields, w, remainder)
+    for k, weight in enumerate(weights):
+        if k == 0:
+            begin_remainder(rows, impulses, fields, remainder)
+        else:
+            find_remainder(rows, neighbors, trace, impulses, fields, w, remainder)
         divide_by_mass(rows, pushes, pulls, fields, remainder, change)
         add_change(rows, weight, pulls, pushes, fields, change, w)
 

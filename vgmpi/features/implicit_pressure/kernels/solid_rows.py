@@ -39,6 +39,7 @@ FULL_NODE, CROWDED_NODE = 0.75, 0.5  # [-] filled part at which approach ends wh
 class SolidBlocks(NamedTuple):
     """Blocks of nodes of a solid on a rank, see `DeformableSolid`."""
 
+    occupied: np.ndarray  # numbers of those of its n blocks with nodes at which impulses reach it
     rows: np.ndarray  # (n,) among the node blocks of the rank
     block_of: np.ndarray  # (n,) among its blocks
     is_attached: np.ndarray  # 1 for nodes at which impulses reach it, flat, 64 of each
@@ -81,7 +82,7 @@ def read_parts(blocks, nodal, lattice, walls, per_volume, solid, fields):
         blocks.rows,
         blocks.is_attached,
     )
-    for i in range(len(rows)):
+    for i in blocks.occupied:
         b = blocks.block_of[i]
         for q in range(64):
             images = real(1)
@@ -102,15 +103,15 @@ def read_parts(blocks, nodal, lattice, walls, per_volume, solid, fields):
 
 
 @kernel
-def scale_parts(block_of, fields, solid):
+def scale_parts(blocks, fields, solid):
     """Scale the parts of a solid so that those of all that shares a node sum up to 1.
 
     Args:
-        block_of: Its blocks, shape (n,).
+        blocks: SolidBlocks.
         fields: PressureFields.
         solid: SolidRows (in/out).
     """
-    for b in block_of:
+    for b in blocks.block_of[blocks.occupied]:
         for n in range(64 * b, 64 * (b + 1)):
             solid.theta[n] *= fields.solid_scale[n]
 
@@ -147,7 +148,7 @@ def read_velocities(blocks, velocity, per_length, solid):
         per_length: Inverse cell size [1/m].
         solid: SolidRows (u and shared out).
     """
-    for i in range(len(blocks.rows)):
+    for i in blocks.occupied:
         b = blocks.block_of[i]
         for a in range(3):
             for q in range(64):
@@ -159,11 +160,11 @@ def read_velocities(blocks, velocity, per_length, solid):
 
 
 @kernel
-def set_tractions(block_of, lattice, factor, potential, solid, impulses):
+def set_tractions(blocks, lattice, factor, potential, solid, impulses):
     """Set the impulses G^T of a potential on the nodes of a solid.
 
     Args:
-        block_of: Its blocks, shape (n,).
+        blocks: SolidBlocks.
         lattice: Blocks, Lattice.
         factor: Factor of the impulses.
         potential: Numbers of cells, flat.
@@ -172,8 +173,8 @@ def set_tractions(block_of, lattice, factor, potential, solid, impulses):
     """
     low, phi, own = pointer(lattice.low), pointer(potential), pointer(solid.weighted)
     theta, out = pointer(solid.theta), pointer(impulses)
-    for i in range(len(block_of)):
-        b = block_of[i]
+    for i in blocks.occupied:
+        b = blocks.block_of[i]
         s, y, z = differences_below(phi, low, 8 * b + 4, 48)
         t, v, w = differences_below(own, low, 8 * b + 4, 48)
         for x in range(4):
@@ -188,16 +189,16 @@ def set_tractions(block_of, lattice, factor, potential, solid, impulses):
 
 
 @kernel
-def store_answer(block_of, answer, solid):
+def store_answer(blocks, answer, solid):
     """Store the changes of the velocities of a solid at its nodes.
 
     Args:
-        block_of: See `set_tractions`.
+        blocks: SolidBlocks.
         answer: Flat, 192 of each block [cells/s].
         solid: SolidRows (u and shared out).
     """
-    for i in range(len(block_of)):
-        b = block_of[i]
+    for i in blocks.occupied:
+        b = blocks.block_of[i]
         for a in range(3):
             for q in range(64):
                 n = 192 * b + 64 * a + q
@@ -230,23 +231,23 @@ def add_divergence(rows, lattice, sign, solid, level, values):
 
 
 @kernel
-def add_velocities(rows, uptake, dx, change, velocity):
+def add_velocities(blocks, uptake, dx, change, velocity):
     """Add changes to the velocities of a solid at its nodes.
 
     What is held takes up what would change the velocity of its mass: a reaction that follows.
 
     Args:
-        rows: Node blocks of the solid, shape (n,).
+        blocks: SolidBlocks.
         uptake: See `DeformableSolid`.
         dx: Cell size [m].
         change: Flat, 192 of each block [cells/s].
         velocity: See `read_velocities` (in/out).
     """
-    for i in range(len(rows)):
+    for i in blocks.occupied:
         for q in range(64):
             factor = dx * uptake[64 * i + q]
             for a in range(3):
-                velocity[rows[i], 4 * q + a] += factor * change[192 * i + 64 * a + q]
+                velocity[blocks.rows[i], 4 * q + a] += factor * change[192 * i + 64 * a + q]
 
 
 @always_inline
