@@ -32,17 +32,6 @@ role = "scenery"
 collider = true
 shape = { box = [[0.1, 0.1, 0], [0.2, 0.16, 0.3]] }
 """
-BLOCK = """
-[material.wood]
-kind = "elastic"
-youngs_modulus = 1e6
-[[object]]
-name = "block"
-material = "wood"
-rigid = true
-slip_length = 0
-shape = { box = [[0.1, 0.1, 0.2], [0.2, 0.16, 0.26]] }
-"""
 SAND = """
 [material.sand]
 kind = "sand"
@@ -94,11 +83,6 @@ def refusal(tmp_path, text):
     "key, feature, text",
     [
         ("object.post.friction", BODIES, SCENE + POST + "friction = 0.3\n"),
-        (
-            "object.block.slip_length",
-            "slip lengths of bodies",
-            SCENE.replace('kind = "fluid"', 'kind = "fluid"\nviscosity = 1', 1) + BLOCK,
-        ),
         (
             "material.sand.kind",
             "materials that are no fluid",

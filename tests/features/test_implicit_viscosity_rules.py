@@ -74,6 +74,8 @@ def with_lines(table, *lines):
                                                      "consistency_index = 1\n"
                                                      "shear_modulus = 500")),
         ("object.duck.rigid", BODIES, SCENE + DUCK),
+        ("object.duck.slip_length", "slip lengths of free bodies",
+         with_lines("[accuracy]", 'pressure = "implicit"') + DUCK + "slip_length = 0\n"),
         ("object.pool.release_time", BODIES, with_lines('name = "pool"', "release_time = 0.05")),
         ("object.post.thin", BODIES, SCENE + POST + "thin = true\n"),
         ("object.post.friction", "colliders with friction", SCENE + POST + "friction = 0.3\n"),

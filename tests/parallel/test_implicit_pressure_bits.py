@@ -131,6 +131,14 @@ at = [0.295, 0.08, 0.15]
 """
 
 
+# the same in oil that sticks to the block and to the arm
+STICKING = (
+    BODIES.replace("max_speed = 2", "max_speed = 2\nviscosity = 2")
+    .replace('name = "block"', 'name = "block"\nslip_length = 0')
+    .replace('name = "arm"', 'name = "arm"\nslip_length = 0.01')
+)
+
+
 # a pool of oil and brine in one velocity field, water that mixes with dye, and a falling drop of
 # oil of its own: nodes have one to four liquids, and ranks different ones
 LIQUIDS = """
@@ -333,6 +341,7 @@ SCENES = {
     "adhesion": (ADHESION, 11),
     "adhesion with implicit viscosity": (STUCK, 11),
     "bodies and walls": (BODIES, 9),
+    "bodies that oil sticks to": (STICKING, 9),
     "deformable solids": (SOLIDS, 11),
     "pinned parts": (PINNED, 11),
 }

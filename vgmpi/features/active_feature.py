@@ -90,6 +90,15 @@ class NodeState(NamedTuple):
     call: Callable  # call(kernel, rows, *arguments) runs compiled code if there are rows
 
 
+class AdheringNodes(NamedTuple):
+    """Nodes that stick to free bodies: with velocities v these take impulses b - A v."""
+
+    matrix: np.ndarray  # (6 m, 6 m) A
+    momentum: np.ndarray  # (6 m,) b
+    number: int  # number of nodes on this rank
+    sums: np.ndarray  # sums over the nodes of all ranks, of which the two are made
+
+
 class PushedBodies(Protocol):
     """Free rigid bodies as what pushes them in a step sees them; all ranks hold the same.
 
@@ -115,6 +124,25 @@ class PushedBodies(Protocol):
 
     def add_impulses(self, impulses: np.ndarray) -> None:
         """Give them impulses and moments about their centers, (m, 6) [kg m/s], [kg m2/s]."""
+
+    def sum_adhesion(self, nodes: NodeState, dt: float) -> AdheringNodes | None:
+        """Return the nodes that stick to them, or None if liquids slip. Collective.
+
+        Args:
+            nodes: Nodes of the rank.
+            dt: Length of the step [s].
+        """
+
+    def apply_adhesion(
+        self, nodes: NodeState, dt: float, adhering: AdheringNodes, v: np.ndarray
+    ) -> None:
+        """Give nodes that stick to them their impulses, and them the reactions. Collective.
+
+        Args:
+            nodes, dt: See `sum_adhesion`.
+            adhering: Its result.
+            v: Velocities of the bodies, shape (m, 6) [m/s], [rad/s].
+        """
 
 
 class DeformableSolid(Protocol):

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from vgmpi.features.active_feature import PushedBodies
+from vgmpi.features.active_feature import NodeState, PushedBodies
 from vgmpi.kernels.kernel_arguments import Walls
 from vgmpi.kernels.reproducible_sums import REMAINDER, next_power_of_two
 from vgmpi.parallel.communicator import SerialCommunicator
@@ -26,6 +26,32 @@ from .kernels.relaxation import LevelFields
 
 UNIT_BITS = 20  # binary digits below the largest number of a field, for sums over cells
 MATRIX_UNIT = 2.0**-10  # of the sums of J^T S J
+
+
+def let_liquids_stick(
+    bodies: PushedBodies, nodes: NodeState, dt: float, gravity: np.ndarray
+) -> None:  # fmt: skip
+    """Let liquids stick to free bodies: nodes and bodies that stick meet without rebound.
+
+    With the nodes' masses A and momenta b, the bodies' velocities U without them and the inverse W
+    of their inertia, V = U + W (b - A V). So it is stable for bodies of any mass. Collective.
+
+    Args:
+        bodies: The bodies.
+        nodes: Nodes of the rank (velocities in/out).
+        dt: Length of the step [s].
+        gravity: Acceleration, shape (3,) [m/s2].
+    """
+    adhering = bodies.sum_adhesion(nodes, dt)
+    if adhering is None:
+        return
+    matrix = adhering.matrix
+    v = bodies.predict_velocities(dt, gravity).reshape(-1)
+    condensed, product, change = np.zeros_like(matrix), np.zeros_like(v), np.zeros_like(v)
+    body_rows.condense(bodies.mobility(), matrix, condensed)
+    body_rows.multiply_vector(matrix, v, product)
+    body_rows.multiply_vector(condensed, adhering.momentum - product, change)
+    bodies.apply_adhesion(nodes, dt, adhering, (v + change).reshape(-1, 6))
 
 
 class BodyResponse:

@@ -24,7 +24,7 @@ from vgmpi.parallel.cell_exchange import NODES_OF_PATCH, CellExchange, cell_topo
 from vgmpi.parallel.exchange_topology import ExchangeTopology, counting_owner
 
 from . import pressure_system
-from .body_response import BodyResponse
+from .body_response import BodyResponse, let_liquids_stick
 from .kernels import boundaries
 from .liquid_rows import LiquidRows, Liquids
 from .plan import DISPLACEMENT
@@ -131,6 +131,8 @@ class ImplicitPressure(ActiveFeature):
         velocity, walls = nodes.velocities, nodes.walls
         bodies, liquids = self._pushed_bodies(), self.liquids.rows_in(nodes.fields, dt)
         colliders = self._colliders_at(nodes, bodies)
+        if bodies is not None:
+            let_liquids_stick(bodies, nodes, dt, gravity)
         self._hold_nodes(nodes, span)
         cells, wet = self._set_system(nodes, colliders, liquids, span)
         if self.solids is not None:

@@ -18,8 +18,8 @@ class AccuracyKeys(StrictModel):
     pressure: Literal["explicit", "implicit"] = "explicit"
     """how the pressure of liquids is found. explicit: from the volume of each particle; its waves
     bound the step. implicit: by a system of equations of the grid, so that only the motion bounds
-    the step: for scenes of liquids, with colliders without friction, to which they may stick,
-    free rigid bodies, and solids (see elasticity). It needs transfer = "apic" and
+    the step: for scenes of liquids, with colliders without friction and free rigid bodies, to
+    which they may stick, and solids (see elasticity). It needs transfer = "apic" and
     volume_correction = "none", which are then the defaults"""
 
     @model_validator(mode="after")

@@ -198,9 +198,7 @@ def obstacles(
             **{key: True for feature in features() for key in feature.keys_of(obj)},
         }  # fmt: skip
         values.pop("pinned", None)  # an implicit elasticity has them
-        slips = values.pop("slip_length", False)
-        if slips and obj.rigid:
-            _refuse(("object", k, "slip_length"), "slip lengths of bodies")
+        values.pop("slip_length", None)
         for key, value in values.items():
             if value:
                 _refuse(("object", k, key), HELD_BODIES)

@@ -94,6 +94,8 @@ def _bodies(scene: Any) -> Iterator[tuple[tuple, str]]:
                 yield ("object", k, key), "bodies that are held or moved, and thin walls"
             elif getattr(obj, key) > 0:
                 yield ("object", k, key), "slip lengths other than 0"
+            elif obj.rigid:
+                yield ("object", k, key), "slip lengths of free bodies"
         if obj.friction:
             yield ("object", k, "friction"), "colliders with friction"
 

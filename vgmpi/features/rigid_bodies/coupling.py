@@ -11,6 +11,7 @@ import numpy as np
 
 from vgmpi.features.active_feature import (
     ActiveFeature,
+    AdheringNodes,
     NodeState,
     StartContext,
     reserved_nodes,
@@ -110,6 +111,7 @@ class CoupledBodies(NamedTuple):
     centers: np.ndarray  # (m, 3) [m] centers of mass
     friction: np.ndarray  # (m, phases) [-] Coulomb coefficients
     adhesion: AdhesionLaw  # of flows to the bodies, or without rows
+    sticks: bool  # nothing but adhesion acts
 
 
 class RigidBodies(ActiveFeature):
@@ -132,7 +134,7 @@ class RigidBodies(ActiveFeature):
         self.number_of = np.full(len(movers.colliders), -1)
         self.number_of[self.bodies.rows] = np.arange(count)
         self.pushed_bodies: JointedPushedBodies = JointedPushedBodies(
-            self.bodies, self.joints, self.number_of
+            self.bodies, self.joints, self.number_of, self
         )
         rows = np.array(plan.contact.friction)[len(plan.phases) :]
         self.friction = rows[np.minimum(self.bodies.rows, len(rows) - 1)]
@@ -217,15 +219,7 @@ class RigidBodies(ActiveFeature):
     def _couple(self, nodes: NodeState, dt: float) -> None:
         """Solve the bodies together with the nodes that touch them. Collective."""
         bodies = self.bodies
-        count = self._find_contacts(nodes, dt)
-        speed = self.plan.dx / dt * HEADROOM
-        mass = float(next_power_of_two(self.max_mass)) * 2.0**-SUM_BITS
-        arm, fast = (float(next_power_of_two(v)) for v in (self.arm, speed))
-        powers = [(a > 2) + (c > 2) for a in range(6) for c in range(a, 6)]
-        quanta = np.array(
-            [mass * arm**p for p in powers] + [mass * fast * arm**p for p in (0, 0, 0, 1, 1, 1)]
-            + [1.0, mass]
-        )  # fmt: skip
+        count, quanta = self._find_contacts(nodes, dt, False), self._quanta(dt)
         before, inertia = bodies.v.copy(), bodies.turned_inertia()
         for k in range(MAX_ROUNDS):
             sums = np.zeros((len(bodies.rows), free_coupling.SUMS, 2), np.int64)
@@ -236,21 +230,69 @@ class RigidBodies(ActiveFeature):
             free_coupling.solve_velocities(sums, quanta, bodies.mass, inertia, before, bodies.v)
             if self.joints is not None:
                 self.joints.constrain(sums, quanta, inertia)
-        touching = max(float(sums[:, 28, 0].max() * mass), mass)
-        unit = float(next_power_of_two(touching * speed)) * 2.0**-IMPULSE_BITS
-        impulses = np.zeros((len(bodies.rows), 6, 2), np.int64)
-        units = np.array([unit, unit * arm])
-        free_coupling.apply_impulses(
-            count, self.contacts, bodies.v, nodes.velocities, units, impulses
-        )
-        impulses = self.ranks.sum(impulses)
-        total = impulses[..., 0] + impulses[..., 1] * REMAINDER
-        total *= units[[0, 0, 0, 1, 1, 1]]
-        bodies.momentum -= total[:, :3]
-        bodies.spin -= total[:, 3:]
+        self._apply_impulses(nodes, dt, count, bodies.v, sums)
         if self.joints is not None:
             self.joints.add_impulses()
         bodies.set_velocities()
+
+    def _quanta(self, dt: float) -> np.ndarray:
+        """Return the quanta of the sums over touching nodes in a step of dt [s], shape (29,)."""
+        mass = float(next_power_of_two(self.max_mass)) * 2.0**-SUM_BITS
+        speed = self.plan.dx / dt * HEADROOM
+        arm, fast = (float(next_power_of_two(v)) for v in (self.arm, speed))
+        powers = [(a > 2) + (c > 2) for a in range(6) for c in range(a, 6)]
+        return np.array(
+            [mass * arm**p for p in powers] + [mass * fast * arm**p for p in (0, 0, 0, 1, 1, 1)]
+            + [1.0, mass]
+        )  # fmt: skip
+
+    def _apply_impulses(
+        self, nodes: NodeState, dt: float, count: int, v: np.ndarray, sums: np.ndarray
+    ) -> None:
+        """Give the touching nodes their impulses, and the bodies the reactions. Collective.
+
+        Args:
+            nodes: Nodes of the rank.
+            dt: Time step [s].
+            count: Number of rows of `contacts`.
+            v: Velocities of the bodies, shape (m, 6).
+            sums: Sums over these nodes of all ranks, see `free_coupling.sum_contacts`.
+        """
+        mass, arm = self._quanta(dt)[-1], float(next_power_of_two(self.arm))
+        touching = max(float(sums[:, 28, 0].max() * mass), mass)
+        speed = self.plan.dx / dt * HEADROOM
+        unit = float(next_power_of_two(touching * speed)) * 2.0**-IMPULSE_BITS
+        impulses = np.zeros((len(v), 6, 2), np.int64)
+        units = np.array([unit, unit * arm])
+        free_coupling.apply_impulses(count, self.contacts, v, nodes.velocities, units, impulses)
+        impulses = self.ranks.sum(impulses)
+        total = impulses[..., 0] + impulses[..., 1] * REMAINDER
+        total *= units[[0, 0, 0, 1, 1, 1]]
+        self.bodies.momentum -= total[:, :3]
+        self.bodies.spin -= total[:, 3:]
+
+    def sum_adhesion(self, nodes: NodeState, dt: float) -> AdheringNodes | None:
+        """Return the nodes that stick to the bodies, see `PushedBodies`."""
+        if not (self.adhesion.length < np.inf).any():
+            return None
+        count, m = self._find_contacts(nodes, dt, True), len(self.bodies.rows)
+        sums, quanta = np.zeros((m, free_coupling.SUMS, 2), np.int64), self._quanta(dt)
+        free_coupling.sum_contacts(count, self.contacts, self.bodies.v, quanta, sums)
+        sums = self.ranks.sum(sums)
+        adhering = AdheringNodes(np.zeros((6 * m, 6 * m)), np.zeros(6 * m), count, sums)
+        free_coupling.read_sums(sums, quanta, adhering.matrix, adhering.momentum)
+        return adhering
+
+    def apply_adhesion(
+        self, nodes: NodeState, dt: float, adhering: AdheringNodes, v: np.ndarray
+    ) -> None:
+        """Give the nodes that stick to the bodies their impulses, see `PushedBodies`.
+
+        Args:
+            nodes, dt, adhering, v: See `PushedBodies`.
+        """
+        self._apply_impulses(nodes, dt, adhering.number, v, adhering.sums)
+        self.bodies.set_velocities()
 
     def _adhesion_law(self) -> AdhesionLaw:
         """Return the adhesion of flows to the bodies, without rows if they slip freely."""
@@ -261,19 +303,31 @@ class RigidBodies(ActiveFeature):
         lengths = np.array(law.lengths)[self.bodies.rows]
         return AdhesionLaw(lengths, np.array(law.viscosities))
 
-    def _find_contacts(self, nodes: NodeState, dt: float) -> int:
-        """Find the nodes of this rank that touch bodies; return their number."""
-        bodies = self.bodies
+    def _find_contacts(self, nodes: NodeState, dt: float, sticks: bool) -> int:
+        """Find the nodes of this rank that touch bodies; return their number.
+
+        Args:
+            nodes: Nodes of the rank.
+            dt: Time step [s].
+            sticks: Whether those alone that stick to bodies, of which nothing else acts. Beside an
+                implicit pressure nothing else finds these.
+        """
+        bodies, law = self.bodies, self.adhesion
+        is_pushed = any(group.volume.separate_pressure for group in self.plan.groups)
+        if is_pushed and not sticks:
+            law = law._replace(length=np.full_like(law.length, np.inf))
         fields = tuple(nodes.fields[name].tables for name in NEAR_BODIES)
-        marks = reserved_nodes(self.features)
-        coupled = CoupledBodies(self.number_of, bodies.x, self.friction, self.adhesion)
+        marks = None if sticks else reserved_nodes(self.features)
+        coupled = CoupledBodies(self.number_of, bodies.x, self.friction, law, sticks)
         near = NodesNearBodies(
             self.movers.table, self.near_rows, self.movers.nodes, self.movers.collider_number,
             self.counts,
             nodes.velocities, nodes.fields["offsets"].nodes, fields,
             NO_NODES if marks is None else marks,
         )  # fmt: skip
-        holders: list[Any] = [f for f in self.features.values() if f.attaches_to_bodies]
+        holders: list[Any] = [
+            f for f in self.features.values() if f.attaches_to_bodies and not sticks
+        ]
         while True:
             count = 0
             for holder in holders:
@@ -284,7 +338,7 @@ class RigidBodies(ActiveFeature):
             )  # fmt: skip
             if count <= len(self.contacts.mass):
                 return count
-            self.contacts = no_contacts(2 * count, len(self.adhesion.length) > 0)
+            self.contacts = no_contacts(2 * count, len(law.length) > 0)
 
     def _collide(self, nodes: NodeState, dt: float) -> None:
         """Let the bodies meet each other, colliders and walls."""
@@ -439,6 +493,8 @@ def find_contacts(nodes, tables, bodies, phases, walls, dt, dx, out, count):
                     continue
             for nb in range(tables.first[b], tables.first[b + 1]):
                 p = tables.phase[nb]
+                if bodies.sticks and not bodies.adhesion.length[k, p] < np.inf:
+                    continue
                 if len(nodes.reserved) > 0 and nodes.reserved[nb, node] != 0:
                     continue
                 if not touches_surface(nodes, phases, p, nb, node, n, d, dx):
@@ -450,6 +506,8 @@ def find_contacts(nodes, tables, bodies, phases, walls, dt, dx, out, count):
                     _store_contact(out, count, nodes, 256 * nb + 4 * node, n, d, flow, dx, slope)
                     out.body[count], out.counts[count] = k, nodes.counts[b, node]
                     out.friction[count], out.stick[count] = bodies.friction[k, p], -1.0
+                    if bodies.sticks:
+                        out.mass[count] = out.pressed[count] = out.friction[count] = 0.0
                     if len(out.adhering) > 0:
                         _store_adhesion(out, count, nodes, bodies.adhesion, k, p, d, flow, dt, dx)
                     for c in range(3):

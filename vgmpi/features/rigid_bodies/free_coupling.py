@@ -169,6 +169,23 @@ def solve_velocities(sums, quanta, mass, inertia, before, v):
             v[k, a] = x[a]
 
 
+@kernel
+def read_sums(sums, quanta, matrix, vector):
+    """Compute the matrix and the right-hand side of the nodes that touch bodies, without these.
+
+    Args:
+        sums: Whole numbers of quanta and of remainders over all ranks, shape (m, 29, 2).
+        quanta: Quanta of the sums, shape (29,).
+        matrix: Matrix of all bodies (out), shape (6 m, 6 m), 0 at the start.
+        vector: Right-hand side (out), shape (6 m,).
+    """
+    for k in range(len(sums)):
+        own = matrix[6 * k : 6 * k + 6, 6 * k : 6 * k + 6]
+        condensed_matrix(sums[k], quanta, 0.0, np.zeros((3, 3)), own)
+        for a in range(6):
+            vector[6 * k + a] = _total(sums[k], 21 + a, quanta[21 + a])
+
+
 @device_function
 def condensed_matrix(sums, quanta, mass, inertia, out):
     """Compute the matrix of a body with the nodes that touch it.

@@ -1,10 +1,11 @@
 """Joints between the free rigid bodies of a scene, step by step; all ranks hold the same."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from vgmpi.features.active_feature import AdheringNodes, NodeState
 from vgmpi.kernels.colliders.moving_colliders import MovingColliders
 from vgmpi.kernels.colliders.sdf_sampling import SampledSdf
 
@@ -213,9 +214,12 @@ class JointedPushedBodies:
         contact: Accelerations by contact in the last step, shape (m, 6) [m/s2], [rad/s2].
     """
 
-    def __init__(self, bodies: FreeBodies, joints: JointedBodies | None, number_of: np.ndarray):
-        """Take the bodies, their joints, and the numbers of the bodies by collider."""
+    def __init__(
+        self, bodies: FreeBodies, joints: JointedBodies | None, number_of: np.ndarray, coupling: Any
+    ):  # fmt: skip
+        """Take the bodies, their joints, the numbers of the bodies by collider, and RigidBodies."""
         self.bodies, self.joints, self.number_of = bodies, joints, number_of
+        self.coupling = coupling
         self.contact = np.zeros_like(bodies.v)
 
     def centers(self) -> np.ndarray:
@@ -265,6 +269,21 @@ class JointedPushedBodies:
         """
         self.bodies.momentum += impulses[:, :3]
         self.bodies.spin += impulses[:, 3:]
+
+    def sum_adhesion(self, nodes: NodeState, dt: float) -> AdheringNodes | None:
+        """Return the nodes that stick to the bodies, see `PushedBodies`."""
+        result: AdheringNodes | None = self.coupling.sum_adhesion(nodes, dt)
+        return result
+
+    def apply_adhesion(
+        self, nodes: NodeState, dt: float, adhering: AdheringNodes, v: np.ndarray
+    ) -> None:
+        """Give the nodes that stick to the bodies their impulses, see `PushedBodies`.
+
+        Args:
+            nodes, dt, adhering, v: See `PushedBodies`.
+        """
+        self.coupling.apply_adhesion(nodes, dt, adhering, v)
 
 
 def jointed_bodies(joints: Sequence[Joint], movers: MovingColliders) -> JointedBodies | None:
