@@ -165,6 +165,11 @@ class Plan:
         return self.has_sources or any(feature.removes_particles for feature in self.features)
 
     @property
+    def has_separate_pressure(self) -> bool:
+        """True if a feature finds the pressure of liquids, which is not that of their volume."""
+        return any(group.volume.separate_pressure for group in self.groups)
+
+    @property
     def has_sources(self) -> bool:
         """True if particles are inserted during the run."""
         return any(feature.source_names for feature in self.features)

@@ -20,6 +20,7 @@ from vgmpi.io.checkpoint import Checkpoint
 from vgmpi.kernels.colliders.sdf_sampling import SampledSdf, sample_surface, set_node_indices
 from vgmpi.kernels.colliders.surface_flow import (
     FULL_WEIGHT_CELLS,
+    PUSHED_DEPTH_CELLS,
     REACH_CELLS,
     AdhesionLaw,
     adhering_mass,
@@ -299,9 +300,9 @@ class RigidBodies(ActiveFeature):
         laws = (feature.adhesion for feature in self.plan.features)
         law = next((each for each in laws if each is not None), None)
         if law is None:
-            return AdhesionLaw(np.zeros((0, 0)), np.zeros(0))
+            return AdhesionLaw(np.zeros((0, 0)), np.zeros(0), REACH_CELLS)
         lengths = np.array(law.lengths)[self.bodies.rows]
-        return AdhesionLaw(lengths, np.array(law.viscosities))
+        return AdhesionLaw(lengths, np.array(law.viscosities), REACH_CELLS)
 
     def _find_contacts(self, nodes: NodeState, dt: float, sticks: bool) -> int:
         """Find the nodes of this rank that touch bodies; return their number.
@@ -313,8 +314,9 @@ class RigidBodies(ActiveFeature):
                 implicit pressure nothing else finds these.
         """
         bodies, law = self.bodies, self.adhesion
-        is_pushed = any(group.volume.separate_pressure for group in self.plan.groups)
-        if is_pushed and not sticks:
+        if sticks:
+            law = law._replace(depth=PUSHED_DEPTH_CELLS)
+        elif self.plan.has_separate_pressure:
             law = law._replace(length=np.full_like(law.length, np.inf))
         fields = tuple(nodes.fields[name].tables for name in NEAR_BODIES)
         marks = None if sticks else reserved_nodes(self.features)
@@ -503,7 +505,9 @@ def find_contacts(nodes, tables, bodies, phases, walls, dt, dx, out, count):
                     flow = flow_fraction(
                         nodes.velocities[nb, 4 * node + 3], phases.min_cell_mass[p], d / dx
                     )
-                    _store_contact(out, count, nodes, 256 * nb + 4 * node, n, d, flow, dx, slope)
+                    outside = max(d, -bodies.adhesion.depth * dx)
+                    o = 256 * nb + 4 * node
+                    _store_contact(out, count, nodes, o, n, d, outside, flow, dx, slope)
                     out.body[count], out.counts[count] = k, nodes.counts[b, node]
                     out.friction[count], out.stick[count] = bodies.friction[k, p], -1.0
                     if bodies.sticks:
@@ -518,7 +522,7 @@ def find_contacts(nodes, tables, bodies, phases, walls, dt, dx, out, count):
 
 
 @always_inline
-def _store_contact(out, q, nodes, o, n, d, flow, dx, slope):
+def _store_contact(out, q, nodes, o, n, d, outside, flow, dx, slope):
     """Store what a phase at a node brings into contact.
 
     Args:
@@ -527,6 +531,7 @@ def _store_contact(out, q, nodes, o, n, d, flow, dx, slope):
         nodes: NodesNearBodies.
         o: Offset of the phase's node in the flat nodal values.
         n, d: Outward normal of the body, and distance of the node [m].
+        outside: Distance over which its velocity is continued to the surface [m].
         flow: Part of the velocity's change towards the surface that counts.
         dx: Cell size [m].
         slope: Scratch, shape (3,).
@@ -539,7 +544,7 @@ def _store_contact(out, q, nodes, o, n, d, flow, dx, slope):
     out.mass[q] = 0.0 if is_outside else mass
     out.pressed[q] = _pressure_impulse(nodes.fields[3], o, d / dx, dx) if is_outside else 0.0
     for c in range(3):
-        out.velocity[q, c] = at_node[o % 256 + c] - flow * d / dx * slope[c]
+        out.velocity[q, c] = at_node[o % 256 + c] - flow * outside / dx * slope[c]
         out.normal[q, c] = n[c]
 
 

@@ -26,6 +26,7 @@ import numpy as np
 from vgmpi.features.active_feature import ActiveFeature, NodeState, StartContext
 from vgmpi.kernels.colliders.sdf_sampling import set_node_indices
 from vgmpi.kernels.colliders.surface_flow import (
+    PUSHED_DEPTH_CELLS,
     REACH_CELLS,
     AdhesionLaw,
     adhering_mass,
@@ -142,7 +143,8 @@ def apply_collider_slip(rows, nodes, tables, law, phases, walls, dt, dx, reactio
                     adhering_mass(length, eta, mass, d / dx, dt, dx),
                     flow * shear_drag(length, eta, mass, d / dx, depth, dt, dx),
                 )
-                _change_velocity(nodes, o, surface, speed, masses, axes, flow * d / dx, slope)
+                outside = flow * max(d / dx, -law.depth)
+                _change_velocity(nodes, o, surface, speed, masses, axes, outside, slope)
                 if reaction is not None:
                     set_node(reaction, node, ijk[0], ijk[1], ijk[2])
                     set_collider(reaction, collider, surface)
@@ -359,7 +361,8 @@ class ColliderSlip(SlipOnSurfaces):
         lengths, viscosities = np.array(slip.lengths), np.array(slip.viscosities)
         if len(is_free := getattr(solids, "is_free", ())):
             lengths[is_free] = np.inf  # free bodies couple by themselves
-        super().__init__(context, AdhesionLaw(lengths, viscosities))
+        depth = PUSHED_DEPTH_CELLS if context.plan.has_separate_pressure else REACH_CELLS
+        super().__init__(context, AdhesionLaw(lengths, viscosities, depth))
         self.solids = solids
 
     def blocks_of(self, tables: ExchangeTopology) -> np.ndarray:
@@ -383,7 +386,7 @@ class SolidSlip(SlipOnSurfaces):
         phases = len(plan.phases)
         driven = np.array([phase.driven for phase in plan.phases])
         rows = np.full(phases, -1) if prescribed is None else prescribed.motions.row
-        law = AdhesionLaw(np.array(slip.lengths), np.array(slip.viscosities))
+        law = AdhesionLaw(np.array(slip.lengths), np.array(slip.viscosities), REACH_CELLS)
         super().__init__(context, SolidSlipLaw(law, driven, rows))
 
     def blocks_of(self, tables: ExchangeTopology) -> np.ndarray:

@@ -20,6 +20,9 @@ from vgmpi.kernels.kernel_arguments import CONTACT_MASS_FLOOR
 from vgmpi.runtime.jit import always_inline, device_function
 
 REACH_CELLS = 1.5  # [cells] distance from a surface, both ways, up to which nodes take impulses
+# [cells] Depth from which the velocity inside is continued no further, beside an implicit pressure:
+# drops that lie deeper have a gradient that says nothing about a flow, and would grow.
+PUSHED_DEPTH_CELLS = 0.5
 # [cells] distance outside up to which impulses act against approach
 FULL_WEIGHT_CELLS = 0.5
 SPRAY_FILL, FLOW_FILL = 0.25, 0.5  # [-] fill of a node in spray, and in a flow, at its distance
@@ -30,6 +33,7 @@ class AdhesionLaw(NamedTuple):
 
     length: np.ndarray  # (surfaces, phases) [m] slip length, infinite: free slip
     viscosity: np.ndarray  # (phases,) [Pa s]
+    depth: float  # [cells] inside up to which velocities are continued to the surface
 
 
 @device_function
