@@ -210,7 +210,18 @@ def share_nodes(rows, lattice, walls, dx, colliders, fields, level):
         level: LevelFields (in/out).
     """
     for b in rows:
-        _share_block(b, lattice, walls, dx, colliders, fields, level)
+        if _has_liquid_around(b, lattice, fields):
+            _share_block(b, lattice, walls, dx, colliders, fields, level)
+
+
+@always_inline
+def _has_liquid_around(b, lattice, fields):
+    """Return whether a block or one next to it has nodes with liquid: cells near it may be wet."""
+    for n in range(27 * b, 27 * b + 27):
+        for q in range(64 * lattice.neighbors[n], 64 * lattice.neighbors[n] + 64):
+            if fields.fill[q] > 0:
+                return True
+    return False
 
 
 @always_inline
