@@ -65,6 +65,7 @@ kind = "drag"
 between = ["water", "sand"]
 hydraulic_conductivity = 1e-2
 """
+PUBLISHED_DRAG = SEEPAGE.replace('"drag"', '"drag-versagauss"')
 RUBBING = """
 [[coupling]]
 kind = "contact"
@@ -94,6 +95,12 @@ def refusal(tmp_path, text):
             SCENE[: SCENE.index("[material.water]")] + SAND,
         ),
         ("coupling.0.kind", "couplings of kind 'mixing-versagauss'", SCENE + OIL + PUBLISHED),
+        ("coupling.0.kind", "couplings of kind 'drag-versagauss'", SCENE + SAND + PUBLISHED_DRAG),
+        (
+            "coupling.0.between",
+            "sands through which only some of the liquids flow",
+            SCENE + SAND + OIL + SEEPAGE,
+        ),
         ("coupling.0.friction", "friction of liquids", SCENE + OIL + RUBBING),
         (
             "material.oil.density",

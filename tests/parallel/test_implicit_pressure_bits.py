@@ -335,6 +335,81 @@ sampling_rate = "100 Hz"
 """
 
 
+# water runs into a bank of coarse sand on fine sand, dry and wet, with a ball of rubber on it:
+# ranks have water at nodes whose grains are another rank's
+SEEPAGE = """
+[domain]
+size = [0.48, 0.16, 0.40]
+cell = 0.02
+boundary = { default = "slip", bottom = { kind = "separate", friction = 0.4 } }
+[time]
+end = 0.12
+frames = 3
+[accuracy]
+pressure = "implicit"
+[material.water]
+kind = "fluid"
+max_speed = 2
+[material.coarse]
+kind = "sand"
+youngs_modulus = "0.2 MPa"
+[material.fine]
+kind = "sand"
+porosity = 0.35
+cohesion = 100
+youngs_modulus = "0.2 MPa"
+[material.rubber]
+kind = "elastic"
+density = 400
+youngs_modulus = "0.1 MPa"
+[[coupling]]
+kind = "drag"
+between = ["water", "coarse"]
+hydraulic_conductivity = 1e-2
+[[coupling]]
+kind = "drag"
+between = ["water", "fine"]
+hydraulic_conductivity = 1e-5
+[[object]]
+name = "water"
+material = "water"
+velocity = [1, 0, 0]
+shape = { box = [[0, 0, 0], [0.2, 0.16, 0.2]] }
+[[object]]
+name = "pores"
+subtract = ["post"]
+material = "water"
+volume_fraction = 0.4
+shape = { box = [[0.28, 0, 0.08], [0.4, 0.16, 0.16]] }
+[[object]]
+name = "bank"
+subtract = ["post"]
+material = "coarse"
+phase = "coarse"
+shape = { box = [[0.22, 0, 0.08], [0.4, 0.16, 0.2]] }
+[[object]]
+name = "ground"
+subtract = ["post"]
+material = "fine"
+phase = "fine"
+shape = { box = [[0.22, 0, 0], [0.48, 0.16, 0.08]] }
+[[object]]
+name = "ball"
+material = "rubber"
+velocity = [0, 0, -1]
+shape = { sphere = { center = [0.3, 0.08, 0.24], radius = 0.04 } }
+[[object]]
+name = "post"
+role = "scenery"
+collider = true
+shape = { cylinder = { endpoints = [[0.4, 0.1, -0.1], [0.4, 0.1, 0.5]], radius = 0.03 } }
+[[probe]]
+name = "floor"
+wall = "bottom"
+sampling_rate = "100 Hz"
+"""
+
+
 # by name: the scene, and the step after which it stops and goes on
 SCENES = {
     "several liquids": (LIQUIDS, 9),
@@ -344,6 +419,7 @@ SCENES = {
     "bodies that oil sticks to": (STICKING, 9),
     "deformable solids": (SOLIDS, 11),
     "pinned parts": (PINNED, 11),
+    "sand with drag": (SEEPAGE, 11),
 }
 
 

@@ -156,3 +156,28 @@ def halves(simulation):
     count = len(by_id(simulation, "v")[0])
     first = simulation.plan.count[0]
     return np.arange(count) < first, np.arange(count) >= first
+
+
+def test_friction_of_a_wall_slows_a_block_by_coulombs_law(tmp_path):
+    """The wall feels the weight of all of it, up to what the sweeps leave."""
+    text = scene(accuracy='elasticity = "implicit"').replace(
+        "[0.24, 0.24, 0.24]", "[0.4, 0.12, 0.12]"
+    )
+    text = (
+        text.replace(
+            'boundary = "slip"',
+            'boundary = { default = "slip", bottom = { kind = "separate", friction = 0.3 } }',
+        )
+        + """
+[[object]]
+name = "block"
+material = "rubber"
+velocity = [0.6, 0, 0]
+shape = { box = [[0.05, 0.02, 0], [0.13, 0.1, 0.06]] }
+"""
+    )
+    simulation, _ = begin(tmp_path, text)
+    for t in (0.05, 0.1, 0.15):
+        advance(simulation, t)
+        (v,) = by_id(simulation, "v")
+        assert 0.6 - v[:, 0].mean() == pytest.approx(0.3 * G * t, rel=0.15)

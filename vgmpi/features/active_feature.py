@@ -169,6 +169,18 @@ class DeformableSolid(Protocol):
     uptake: np.ndarray
     mass_of_cell: float
 
+    def carry(self, masses: np.ndarray) -> np.ndarray:
+        """Let the nodes carry masses besides their own in all further answers of the step.
+
+        Collective.
+
+        Args:
+            masses: Per mass of a full cell, flat, 64 of a block and the row of no block.
+
+        Returns:
+            Rough changes of velocity per impulse, at each node alone, of the same shape.
+        """
+
     def answer(self, impulses: np.ndarray) -> np.ndarray:
         """Return the changes of velocity by impulses, a symmetric operator. Collective.
 

@@ -54,6 +54,14 @@ class SlipRelaxation(NamedTuple):
     times: np.ndarray  # (phases,) [s] relaxation time of the velocity relative to the mixture's
 
 
+class PoreDrag(NamedTuple):
+    """Drag of liquids that flow through the pores of sands."""
+
+    coefficients: np.ndarray  # (phases, phases) [kg/(m3 s)], 0 where there is none
+    porosity: np.ndarray  # (phases,) [-] volume fraction of pores in a sand
+    grain_volumes: np.ndarray  # (phases,) [m3/kg] of a sand with such pores, 0 of other phases
+
+
 class FeaturePlan:
     """Feature of a run, one of `Plan.features`. Every answer has a default: nothing is needed.
 
@@ -97,6 +105,7 @@ class FeaturePlan:
             materials/couplings/interaction.py; None if all are in contact.
         pair_channels: Channels that its interactions need, by their names in reports; "": none.
         slip_relaxation: Relaxation of relative motion that it applies, or None.
+        pore_drag: Drag in sands that it leaves to an implicit pressure, or None.
         phase_sets: Phases of one number share one velocity, -1: each its own, (phases,), or None.
         min_rate: Lower bound of 1 / dt [1/s].
         step_bounds: Bounds of the time step [s] and their causes.
@@ -128,6 +137,7 @@ class FeaturePlan:
     pair_channels: Mapping[str, str] = {}
     phase_sets: np.ndarray | None = None
     slip_relaxation: SlipRelaxation | None = None
+    pore_drag: PoreDrag | None = None
     min_rate = 0.0
     step_bounds: Sequence[tuple[float, str]] = ()
 

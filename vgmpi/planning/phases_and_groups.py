@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vgmpi.materials.couplings.interaction import CONTACT, MIXING
+from vgmpi.materials.couplings.interaction import DRAG, MIXING
 from vgmpi.materials.material import law_function, state_channels
 from vgmpi.scene.objects import Object
 from vgmpi.scene.scene import Scene
@@ -234,9 +234,13 @@ def phases_of(
 
 
 def _shares_space(scene: Scene, k: int) -> bool:
-    """Return whether a coupling lets an entity lie in the same space as another."""
+    """Return whether a coupling lets an entity lie in the same space as another.
+
+    Sands in which the grid finds the pressure of the pores stay solids.
+    """
     own = set(scene.materials_of(scene.entities[k]))
-    return any(c.rule != CONTACT and not own.isdisjoint(c.between) for c in scene.coupling)
+    rules = {MIXING} if scene.is_free_of_waves else {MIXING, DRAG}
+    return any(c.rule in rules and not own.isdisjoint(c.between) for c in scene.coupling)
 
 
 def groups_of(

@@ -25,6 +25,7 @@ from vgmpi.features.active_feature import (
 )
 from vgmpi.kernels.grid.phase_nodes import PhaseNodes, cells_of_patch
 from vgmpi.kernels.step_records import StepSpan
+from vgmpi.materials.couplings.interaction import CONTACT
 from vgmpi.parallel.block_ownership import BlockDirectory
 from vgmpi.parallel.cell_exchange import CellExchange, phase_topology
 from vgmpi.parallel.exchange_topology import ExchangeTopology
@@ -40,10 +41,13 @@ SHARED_BLOCKS = 400  # with fewer, one thread is faster than two that wait for e
 # [-] of the answer to an impulse, relative to the impulse: an error slows or speeds up waves that
 # are slowed anyway, and they are stable up to 1
 MAX_ERROR = 0.5
+# of sands with drag: their nodes answer to the pressure with the mass of liquids, and to their
+# stress without it, and both answers must agree
+MAX_PORE_ERROR = 0.05
 NO_MARKS = np.zeros((0, 64), np.uint8)
 
 
-def sweep_weights(stiffness: float) -> list[float]:
+def sweep_weights(stiffness: float, error: float = MAX_ERROR) -> list[float]:
     """Return the weights of the sweeps: inverse roots of a polynomial, the first of them 1.
 
     Eigenvalues lie between 1 and 1 + MAX_EIGENVALUE stiffness. The order keeps the products of the
@@ -51,6 +55,7 @@ def sweep_weights(stiffness: float) -> list[float]:
 
     Args:
         stiffness: beta (c dt / dx)2.
+        error: Part of the answer of the shortest waves that they may leave.
     """
     highest = 1.0 + MAX_EIGENVALUE * stiffness
     number = 1
@@ -61,7 +66,7 @@ def sweep_weights(stiffness: float) -> list[float]:
             return [1.0]
         middle = highest - half
         reach = math.acosh(max(middle / half, 1.0))
-        if math.cosh(number * reach) >= 1.0 / MAX_ERROR:
+        if math.cosh(number * reach) >= 1.0 / error:
             break
         number += 1
     angles = (2 * np.arange(number) + 1) * (0.5 * np.pi / number)
@@ -82,7 +87,9 @@ class ImplicitElasticity(ActiveFeature):
         """Take what may change in a run, and the velocity fields of solids."""
         plan = self.plan = context.plan
         self.ranks = context.ranks
-        self.couples_nodes = plan.contact.has_pairs or plan.collider
+        pairs, own = plan.pair_rules, [solid.phase for solid in solids]
+        touches = pairs is None or bool((pairs[own] == CONTACT).sum() > len(own))
+        self.couples_nodes = plan.collider or (plan.contact.has_pairs and touches)
         self.systems = [SolidSystem(context, solid) for solid in solids]
         self.deformable_solids = self.systems
 
@@ -117,8 +124,8 @@ class ImplicitElasticity(ActiveFeature):
             )
             w = system.answer(impulses)
             nodes.call(
-                solid_sweeps.store_impulses, rows, system.nodes, real(unit), w, system.fields,
-                nodal,
+                solid_sweeps.store_impulses, rows, system.nodes, real(unit), w,
+                system.find_reactions(impulses, w), system.fields, nodes.velocities, nodal,
             )  # fmt: skip
             nodes.call(
                 solid_sweeps.expect_velocities, rows, system.nodes, nodes.velocities, w, expected
@@ -163,6 +170,9 @@ class SolidSystem:
         """Take what may change in a run, and a solid."""
         self.context, self.solid, self.phase = context, solid, solid.phase
         self.mass_of_cell = solid.density * context.plan.dx**3
+        drags = [each.pore_drag for each in context.plan.features if each.pore_drag is not None]
+        is_porous = any(drag.grain_volumes[self.phase] > 0 for drag in drags)
+        self.error = MAX_PORE_ERROR if is_porous else MAX_ERROR
         self.exchanges: tuple[CellExchange, ...] = ()
 
     def set_topology(self, tables: ExchangeTopology, census: BlockDirectory) -> None:
@@ -194,11 +204,12 @@ class SolidSystem:
         self.state = state
         plan, solid, fields = self.context.plan, self.solid, self.fields
         rows = np.arange(len(self.rows))
-        of_scalars, walls = self.exchanges[0], state.walls
+        of_scalars = self.exchanges[0]
         marks = reserved_nodes(self.context.features)
         state.call(
-            solid_nodes.set_nodes, rows, self.nodes, walls.kinds_for_solids, walls.cells,
-            self.mass_of_cell, state.velocities, NO_MARKS if marks is None else marks, fields,
+            solid_nodes.set_nodes, rows, self.nodes, state.walls, self.mass_of_cell,
+            state.velocities, state.fields["impulses"].nodes,
+            NO_MARKS if marks is None else marks, fields,
         )  # fmt: skip
         for values in (fields.fill, fields.mass, fields.inverse_own):
             of_scalars.exchange(values)
@@ -221,8 +232,8 @@ class SolidSystem:
         if marks is not None:
             state.call(solid_nodes.hold_nodes, rows, fields)
         courant = solid.wave_speed * dt / plan.dx
-        stiffness = BETA * courant * courant
-        self.weights = np.array(sweep_weights(stiffness), plan.real)
+        stiffness = self.stiffness = plan.real.type(BETA * courant * courant)
+        self.weights = np.array(sweep_weights(stiffness, self.error), plan.real)
         state.call(
             solid_nodes.set_cells, self.occupied_rows, self.neighbors, cells_of_patch(plan.real),
             plan.real.type(stiffness * solid.shear_part), fields,
@@ -273,6 +284,25 @@ class SolidSystem:
             storage.weights[:count],
         )  # fmt: skip
 
+    def carry(self, masses: np.ndarray) -> np.ndarray:
+        """Let the nodes carry masses besides their own from now on; see the protocol."""
+        fields, of_scalars, state = self.fields, self.exchanges[0], self.state
+        rows, real = np.arange(len(self.rows)), self.context.plan.real
+        fields.mass[:] += masses
+        heaviness = fields.mass * fields.uptake
+        np.divide(1, heaviness, out=fields.inverse_own, where=fields.inverse_own > 0)
+        of_scalars.exchange(fields.mass)
+        of_scalars.exchange(fields.inverse_own)
+        state.call(solid_nodes.set_inverse, rows, self.ties[0], fields)
+        of_scalars.exchange(fields.inverse)
+        if fields.is_held.any():
+            state.call(solid_nodes.hold_nodes, rows, fields)
+        state.call(
+            solid_nodes.set_relative_response, self.occupied_rows, self.ties[1],
+            real.type(self.solid.trace), fields,
+        )  # fmt: skip
+        return fields.inverse / (1 + self.stiffness * fields.inverse * fields.fill)
+
     def answer(self, impulses: np.ndarray) -> np.ndarray:
         """Return the changes of velocity by impulses, known around the nodes; see the protocol."""
         fields, exchange, state = self.fields, self.exchanges[1], self.state
@@ -300,6 +330,18 @@ class SolidSystem:
             state.call(solid_sweeps.add_change, rows, weight, pulls, pushes, fields, change, w)
             exchange.exchange(w)
         return w
+
+    def find_reactions(self, impulses: np.ndarray, w: np.ndarray) -> np.ndarray:
+        """Return what walls hold of impulses with the answer w, flat; none without friction."""
+        remainder, trace = self.arrays.remainder, self.context.plan.real.type(self.solid.trace)
+        if not np.any(self.state.walls.friction):
+            return remainder[:0]
+        fields = self.fields._replace(loose=np.ones_like(self.fields.loose))
+        self.state.call(
+            solid_sweeps.find_remainder, self.occupied_rows, self.neighbors, trace, impulses,
+            fields, w, remainder,
+        )  # fmt: skip
+        return remainder
 
     def run_on_thread(self, thread: int, parts: list[np.ndarray], kernel, *arguments) -> None:
         """Call a kernel with the rows of a thread.

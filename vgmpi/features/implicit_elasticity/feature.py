@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import model_validator
 
-from vgmpi.materials.couplings.interaction import CONTACT
+from vgmpi.materials.couplings.interaction import CONTACT, DRAG
 from vgmpi.materials.material import Quantity, field_error
 from vgmpi.runtime.config.schema import StrictModel
 from vgmpi.scene.scene_feature import SceneFeature
@@ -69,8 +69,9 @@ class ImplicitElasticity(SceneFeature):
 def obstacles(scene: Any) -> Iterator[tuple[tuple, str]]:
     """Yield (path of a key, message) of all that an implicit elasticity does not know."""
     message = "accuracy.elasticity = 'implicit' is not for"
+    rules = {CONTACT} if scene.accuracy.pressure == "explicit" else {CONTACT, DRAG}
     for k, coupling in enumerate(scene.coupling):
-        if coupling.rule != CONTACT:
+        if coupling.rule not in rules:
             yield ("coupling", k, "kind"), f"{message} couplings of kind {coupling.kind!r}"
     for k, obj in enumerate(scene.object):
         if obj.motion and not obj.collider:

@@ -134,6 +134,8 @@ class ImplicitPressure(ActiveFeature):
         if bodies is not None:
             let_liquids_stick(bodies, nodes, dt, gravity)
         self._hold_nodes(nodes, span)
+        if self.solids is not None:
+            self.solids.exchange_momentum(nodes, liquids, dt)
         cells, wet = self._set_system(nodes, colliders, liquids, span)
         if self.solids is not None:
             assert solver.exchange is not None
@@ -145,6 +147,8 @@ class ImplicitPressure(ActiveFeature):
         if bodies is not None and solver.bodies is not None:
             bodies.add_impulses(solver.bodies.find_impulses(fields.phi))
             solver.bodies = None  # they stand while positions are corrected
+        if self.solids is not None:
+            self.solids.leave_liquids(fields, level, True)
         solver.each(wet, pressure_system.add_velocities, liquids, fields, level, velocity)
         reaction = nodes.reactions[0]
         if reaction is not None:
@@ -158,7 +162,9 @@ class ImplicitPressure(ActiveFeature):
             fields, level, velocity, reaction,
         )  # fmt: skip
         if self.solids is not None:
-            self.solids.add_velocities(velocity)
+            self.solids.add_velocities(liquids, velocity)
+            self.solids.rub_at_walls(self.separating, fields, level, reaction)
+            self.solids.leave_liquids(fields, level, False)
             self._hold_nodes(nodes, span)
         scale = plan.real.type(1.0 / (dt * self.liquids.stiffness))
         solver.each(wet, pressure_system.store_node_pressure, lattice, scale, fields)
@@ -215,9 +221,13 @@ class ImplicitPressure(ActiveFeature):
         )  # fmt: skip
         guess_scale = plan.real.type(span.dt * self.liquids.stiffness)
         has_solids = self.solids is not None
+        has_grains = self.solids is not None and any(self.solids.is_porous)
+        if self.solids is not None:
+            self.solids.add_rough_answers(fields, level)
         solver.each(
-            blocks, pressure_system.set_cells, lattice, guess_scale, has_solids, fields, level
-        )
+            blocks, pressure_system.set_cells, lattice, guess_scale, has_solids, has_grains,
+            fields, level,
+        )  # fmt: skip
         exchange.exchange(fields.filled)
         if self.separating_walls.any():
             exchange.exchange(fields.phi)
@@ -228,7 +238,7 @@ class ImplicitPressure(ActiveFeature):
             self._let_in(span.end)
             nodes.call(
                 pressure_system.set_cells, self.beside_separating, lattice, guess_scale,
-                has_solids, fields, level,
+                has_solids, has_grains, fields, level,
             )  # fmt: skip
             exchange.exchange(fields.filled)
         self._spread_inward(nodes)

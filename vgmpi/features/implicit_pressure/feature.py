@@ -19,8 +19,8 @@ class AccuracyKeys(StrictModel):
     """how the pressure of liquids is found. explicit: from the volume of each particle; its waves
     bound the step. implicit: by a system of equations of the grid, so that only the motion bounds
     the step: for scenes of liquids, with colliders without friction and free rigid bodies, to
-    which they may stick, and solids (see elasticity). It needs transfer = "apic" and
-    volume_correction = "none", which are then the defaults"""
+    which they may stick, solids (see elasticity), and sands through which they flow. It needs
+    transfer = "apic" and volume_correction = "none", which are then the defaults"""
 
     @model_validator(mode="after")
     def _check_pressure(self) -> Self:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from vgmpi.kernels.reproducible_sums import next_power_of_two
-from vgmpi.materials.couplings.interaction import CONTACT, MIXING, PRESSURE
+from vgmpi.materials.couplings.interaction import CONTACT, DRAG, MIXING, PRESSURE
 from vgmpi.planning.feature_plan import FeaturePlan, PlanDraft
 from vgmpi.planning.phases_and_groups import GroupPlan, PhasePlan, VolumeTerms, WaveTerms
 from vgmpi.planning.plan import Plan, time_step_bounds
@@ -178,11 +178,14 @@ def obstacles(
         elif material.tension == "off":
             _refuse(("material", name, "tension"), "liquids without tension")
     for k, coupling in enumerate(scene.coupling):
-        if coupling.rule == MIXING and coupling.printed:
+        if coupling.rule in (MIXING, DRAG) and coupling.printed:
             _refuse(("coupling", k, "kind"), f"couplings of kind {coupling.kind!r}")
         kinds = {scene.material[name].kind for name in coupling.between}
         if coupling.rule == CONTACT and coupling.friction and "fluid" in kinds:
             _refuse(("coupling", k, "friction"), "friction of liquids")
+        if coupling.rule == DRAG and not all_flow_through(scene, groups, coupling):
+            what = "sands through which only some of the liquids flow"
+            _refuse(("coupling", k, "between"), what)
     densities = {group.density: group.material for group in groups if group.is_liquid}
     if not densities:
         _refuse(("accuracy", "pressure"), "scenes without a liquid")
@@ -212,3 +215,22 @@ def obstacles(
     if any(time is not None for time in scene.domain.wall_opening_times):
         _refuse(("domain", "boundary"), "walls that open")
     return wrong
+
+
+def all_flow_through(scene: Scene, groups: Sequence[GroupPlan], drag: Any) -> bool:
+    """Return whether all liquids of a scene flow through the sand of a drag, if any object has it.
+
+    Args:
+        scene: The scene.
+        groups: All groups.
+        drag: A coupling with drag.
+    """
+    sand = next(name for name in drag.between if scene.material[name].family == "sand")
+    liquids = {group.material for group in groups if group.is_liquid}
+    through = {
+        name
+        for coupling in scene.coupling
+        if coupling.rule == DRAG and sand in coupling.between
+        for name in coupling.between
+    }
+    return liquids <= through or all(group.material != sand for group in groups)

@@ -62,6 +62,7 @@ MIN_SHARE = 1e-3  # [-] liquid that has less of a node does not respond: its vel
 # the spline, 1/4, times the curvature of the face: so convex bodies have their volume.
 CURVATURE_SHIFT, CURVED_DISTANCE = 0.125, 2.0  # [cells^2], [cells]
 MIN_PORE = 0.05  # [-] cells of solids in which liquid has less have no pressure
+MIN_POROSITY = 0.05  # [-] least part of what grains and liquid have that the liquid has
 MIN_MEETING_PART = 0.02  # [-] part of a node from which on a solid meets what else has some of it
 RESOLVED_SHARE = 0.5  # [-] where colliders leave less, liquid has no more than its volume
 MIN_PRESSURE, MAX_PRESSURE = -0.9, 15.0  # [-] of particles, relative to the Tait coefficient
@@ -87,6 +88,9 @@ class PressureFields(NamedTuple):
     solid_scale: np.ndarray  # ratio of the two
     pinned: np.ndarray  # part of nodes that pinned parts of solids have, which are not on the grid
     pinned_part: np.ndarray  # the same, less what colliders have, as part of `solid_part`
+    grains: np.ndarray  # part of nodes that grains have by their volume
+    grain_part: np.ndarray  # the same so that all parts sum up to 1
+    grain_scale: np.ndarray  # ratio of the two
 
 
 class NodeReactions(NamedTuple):
@@ -247,6 +251,8 @@ def _share_block(b, lattice, walls, dx, colliders, fields, level):
         taken = real(1.0) - free_part + of_solids
         free_part = max(free_part - of_solids, real(0.0))
         share = min(free_part, wet) if free_part < RESOLVED_SHARE else free_part
+        free_part = _pores_beside_grains(64 * b + q, free_part, wet, fields)
+        share, grain_part = min(share, free_part), fields.grain_part[64 * b + q]
         if wet <= MIN_NODE_FILL or share < MIN_SHARE:
             share = real(0.0)
         fields.free_part[64 * b + q], fields.share[64 * b + q] = free_part, share
@@ -256,9 +262,9 @@ def _share_block(b, lattice, walls, dx, colliders, fields, level):
             meets_collider and not fields.pinned[64 * b + q] > 0
         )
         fields.empty[64 * b + q] = real(is_empty or touches)
-        collider_share = real(1.0) - share if free_part < 1.0 else real(0.0)
+        collider_share = real(1.0) - share - grain_part if free_part < 1.0 else real(0.0)
         if of_solids > 0:
-            fields.solid_scale[64 * b + q] = (real(1.0) - share) / taken
+            fields.solid_scale[64 * b + q] = (real(1.0) - share - grain_part) / taken
             fields.solid_part[64 * b + q] = of_solids * fields.solid_scale[64 * b + q]
             fields.pinned_part[64 * b + q] = pinned * fields.solid_scale[64 * b + q]
             collider_share -= fields.solid_part[64 * b + q]
@@ -272,6 +278,29 @@ def _share_block(b, lattice, walls, dx, colliders, fields, level):
             if is_held(b, q, a, lattice, walls):
                 part = min(part, real(_share_beyond(b, q, a, lattice, walls, dx, colliders)))
             level.u[n] += part * real(colliders.moves[row, q, a] / dx)
+
+
+@always_inline
+def _pores_beside_grains(n, free_part, wet, fields):
+    """Return what grains leave of what colliders and solids leave of a node.
+
+    Without liquid they have all of it for the pressure.
+
+    Args:
+        n: Number of the node.
+        free_part: What colliders and solids leave.
+        wet: Volume of the liquids.
+        fields: PressureFields (grain_part and grain_scale out).
+    """
+    real, grains = fields.fill.dtype.type, fields.grains[n]
+    fields.grain_part[n] = real(0.0)
+    if not grains > 0:
+        return free_part
+    fraction = grains / max(grains + wet, free_part)
+    part = free_part * min(fraction, real(1.0 - MIN_POROSITY))
+    fields.grain_part[n] = part if wet > MIN_NODE_FILL else free_part
+    fields.grain_scale[n] = fields.grain_part[n] / grains
+    return free_part - part
 
 
 @always_inline
@@ -289,14 +318,15 @@ def _share_beyond(b, q, axis, lattice, walls, dx, colliders):
 
 
 @kernel
-def set_cells(rows, lattice, guess_scale, has_solids, fields, level):
+def set_cells(rows, lattice, guess_scale, has_solids, has_grains, fields, level):
     """Find the cells of some blocks that hold liquid, and their right-hand side and first phi.
 
     Args:
         rows: Blocks to process, shape (n,).
         lattice: Blocks, Lattice.
         guess_scale: Factor of the nodes' guess [1/s].
-        has_solids: Whether deformable solids have parts of nodes.
+        has_solids, has_grains: Whether deformable solids, and grains of sands, have parts of
+            nodes.
         fields: PressureFields (in/out).
         level: LevelFields (in/out).
     """
@@ -309,6 +339,7 @@ def set_cells(rows, lattice, guess_scale, has_solids, fields, level):
     solid_part, liquid_part = pointer(fields.solid_part), pointer(fields.share)
     pinned_part = pointer(fields.pinned_part)
     excess, covered = pointer(fields.excess), pointer(fields.covered)
+    grains = pointer(fields.grain_part)
     for b in rows:
         for x in range(4):
             c = 64 * b + 16 * x
@@ -316,7 +347,10 @@ def set_cells(rows, lattice, guess_scale, has_solids, fields, level):
             share = 0.5 * mean_of_axes(inverse, high, b, x)
             zero = 0.0 * fill
             is_covered = free <= zero + MIN_FREE_PART
-            relative = fill / np.maximum(free, zero + MIN_FREE_PART)
+            if has_grains:
+                grain = mean_of_nodes(grains, high, b, x)
+                is_covered = free + grain <= zero + MIN_FREE_PART
+            relative = fill / np.maximum(free, zero + MIN_PORE)
             is_own = load(region, c) > zero
             may_hold = is_own & (share > zero)
             is_wet = may_hold & ~is_covered & (relative >= zero + SURFACE_FILL)
@@ -335,7 +369,7 @@ def set_cells(rows, lattice, guess_scale, has_solids, fields, level):
             first = guess_scale * mean_of_nodes(guess, high, b, x)
             has_liquid = fill > zero + MIN_NODE_FILL
             first = first * select(is_covered, 1.0 / select(has_liquid, fill, zero + 1.0),
-                                   1.0 / np.maximum(free, zero + MIN_FREE_PART))  # fmt: skip
+                                   1.0 / np.maximum(free, zero + MIN_PORE))  # fmt: skip
             store(phi, c, select(may_hold, first, zero))
             store(correction, c, zero)
             store(remainder, c, zero)

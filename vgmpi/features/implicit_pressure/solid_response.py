@@ -1,4 +1,7 @@
-"""Deformable solids in the system of the pressure: they answer to it within the same solution."""
+"""Deformable solids in the system of the pressure: they answer to it within the same solution.
+
+Liquids flow through sands with drag; other solids keep them out.
+"""
 
 from collections.abc import Sequence
 from typing import Any
@@ -10,7 +13,8 @@ from vgmpi.parallel.block_lattice import BLOCK_EDGE
 from vgmpi.parallel.cell_exchange import CellExchange
 from vgmpi.runtime.aligned_arrays import aligned_zeros
 
-from .kernels import solid_rows
+from .kernels import boundaries, pore_rows, solid_rows
+from .kernels.pore_rows import PoreRows, SandDrag
 from .kernels.relaxation import LevelFields
 from .kernels.solid_rows import SolidBlocks, SolidRows
 from .pressure_system import NodeReactions
@@ -22,7 +26,12 @@ class SolidResponse:
     def __init__(self, solids: Sequence[DeformableSolid], mass_of_cell: float, plan: Any):
         """Take the solids, the mass of a full cell [kg], and the plan."""
         self.solids, self.mass_of_cell, self.plan = solids, mass_of_cell, plan
-        self.is_solid = np.isin(np.arange(len(plan.phases)), [each.phase for each in solids])
+        drags = (feature.pore_drag for feature in plan.features)
+        self.drag = next((each for each in drags if each is not None), None)
+        impermeable = [
+            each.phase for each, porous in zip(solids, self.is_porous, strict=True) if not porous
+        ]
+        self.is_solid = np.isin(np.arange(len(plan.phases)), impermeable)
         self.rows: list[SolidRows] = []
 
     def set_topology(self, lattice: Any, is_filled: np.ndarray) -> None:
@@ -35,6 +44,14 @@ class SolidResponse:
         count, real = len(lattice.block), self.plan.real
         self.lattice = lattice
         self.rows = [solid_rows.solid_rows(count, real) for _ in self.solids]
+        self.pores = [
+            pore_rows.pore_rows(
+                count, self.plan.real.type(self.mass_of_cell / solid.mass_of_cell), real
+            )
+            if porous
+            else None
+            for solid, porous in zip(self.solids, self.is_porous, strict=True)
+        ]
         self.cells = [self._cells_at(each.block_of) for each in self.solids]
         self.cells_with_solid = [np.zeros(0, np.int64) for _ in self.solids]
         self.nodal_blocks = [np.zeros(0, np.int64) for _ in self.solids]
@@ -44,6 +61,59 @@ class SolidResponse:
         self.impulses, self.totals = (
             [aligned_zeros(size, real) for size in sizes] for _ in range(2)
         )
+        self.rough: list[Any] = [None for _ in self.solids]  # answers of each node alone
+        self.followed = np.zeros(64 * (count + 1), real)  # part of sands' motion, by drag
+
+    @property
+    def is_porous(self) -> list[bool]:
+        """Return whether liquids flow through each of the solids."""
+        volumes = None if self.drag is None else self.drag.grain_volumes
+        return [volumes is not None and bool(volumes[each.phase]) for each in self.solids]
+
+    @property
+    def sand_blocks(self) -> np.ndarray:
+        """Return the blocks with nodes of such solids."""
+        blocks = [solid.block_of[solid.occupied_rows] for solid, _, _, _ in self.sands]
+        return np.unique(np.concatenate([np.zeros(0, np.int64), *blocks]))
+
+    @property
+    def sands(self) -> list[tuple[DeformableSolid, SolidRows, PoreRows, int]]:
+        """Return the sands through which liquids flow, with their number among the solids."""
+        parts = zip(self.solids, self.rows, self.pores, range(len(self.rows)), strict=True)
+        return [(solid, rows, pores, k) for solid, rows, pores, k in parts if pores is not None]
+
+    def exchange_momentum(self, nodes: NodeState, liquids: Any, dt: float) -> None:
+        """Let drag act between sands and the liquids in their pores. Collective.
+
+        Args:
+            nodes: Nodes of the rank (velocities in/out).
+            liquids: LiquidRows.
+            dt: Length of the step [s].
+        """
+        drag, velocity, real, answers = self.drag, nodes.velocities, self.plan.real.type, []
+        if drag is None:
+            return
+        self.followed[:] = 0
+        for solid, _, pores, k in self.sands:
+            own = SandDrag(
+                solid.phase, drag.coefficients[solid.phase], drag.grain_volumes,
+                float(drag.porosity[solid.phase]), solid.mass_of_cell, dt,
+            )  # fmt: skip
+            carried = np.zeros(64 * (len(solid.rows) + 1), self.plan.real)
+            pores.follows[:] = 0
+            nodes.call(
+                pore_rows.hold_stuck_nodes, blocks_of(solid), self.lattice, nodes.walls, velocity
+            )
+            nodes.call(
+                pore_rows.find_drag, blocks_of(solid), liquids, own, velocity,
+                pores, self.followed, carried, self.impulses[k],
+            )  # fmt: skip
+            self.rough[k] = solid.carry(carried)
+            answers.append(solid.answer(self.impulses[k]).copy())
+        nodes.call(pore_rows.release_liquids, self.sand_blocks, liquids, self.followed, velocity)
+        for (solid, _, pores, _), answer in zip(self.sands, answers, strict=True):
+            nodes.call(pore_rows.move_sand, blocks_of(solid), real(1), answer, velocity)
+            nodes.call(pore_rows.pull_liquids, blocks_of(solid), liquids, pores, velocity)
 
     def fill_nodes(
         self, filled: Sequence[FilledNodes], system: Any, coordinates: np.ndarray, fields: Any
@@ -74,14 +144,23 @@ class SolidResponse:
 
         Args:
             nodes: Nodes of the rank.
-            fields: PressureFields with `pinned` (solid and meeting out).
+            fields: PressureFields with `pinned` (solid, grains and meeting out).
         """
-        self.nodes, real = nodes, self.plan.real.type
-        for values in (fields.solid, fields.meeting, fields.solid_part, fields.pinned_part):
+        self.nodes, real, drag = nodes, self.plan.real.type, self.drag
+        for values in (
+            fields.solid, fields.meeting, fields.solid_part, fields.pinned_part, fields.grains
+        ):  # fmt: skip
             values[:] = 0
         self._find_blocks()
         volumes, per_volume = nodes.fields["impulses"].nodes, real(1.0 / self.plan.dx**3)
-        for solid, rows in zip(self.solids, self.rows, strict=True):
+        for solid, rows, porous in zip(self.solids, self.rows, self.is_porous, strict=True):
+            if porous and drag is not None:
+                per_mass = real(drag.grain_volumes[solid.phase] * per_volume)
+                nodes.call(
+                    pore_rows.read_grains, blocks_of(solid), nodes.velocities, self.lattice,
+                    nodes.walls, per_mass, rows, fields,
+                )  # fmt: skip
+                continue
             nodes.call(
                 solid_rows.read_parts, blocks_of(solid), volumes, self.lattice, nodes.walls,
                 per_volume, rows, fields,
@@ -102,6 +181,21 @@ class SolidResponse:
         """Return the blocks of the cells that have nodes in some blocks."""
         return self.lattice.cells_at(np.bincount(blocks, minlength=len(self.lattice.block)) > 0)
 
+    def add_rough_answers(self, fields: Any, level: LevelFields) -> None:
+        """Leave liquids what they answer apart from sands, and add rough answers of these.
+
+        Args:
+            fields: PressureFields with `grain_scale`.
+            level: LevelFields (inverse in/out).
+        """
+        nodes = self.nodes
+        nodes.call(pore_rows.reduce_responses, self.sand_blocks, self.followed, level)
+        for solid, rows, pores, k in self.sands:
+            nodes.call(
+                pore_rows.add_rough_answers, blocks_of(solid), self.lattice, nodes.walls,
+                self.rough[k], rows, pores, fields, level,
+            )  # fmt: skip
+
     def begin(self, fields: Any, level: LevelFields, exchange: CellExchange) -> None:
         """Take what the solids have of the nodes, and subtract what they do. Collective.
 
@@ -113,16 +207,21 @@ class SolidResponse:
         nodes, lattice = self.nodes, self.lattice
         real = self.plan.real.type
         per_length = real(1.0 / self.plan.dx)
-        for solid, rows, cells in zip(self.solids, self.rows, self.cells_with_solid, strict=True):
-            nodes.call(solid_rows.scale_parts, blocks_of(solid), fields, rows)
-            nodes.call(solid_rows.set_means, cells, lattice, rows)
-            exchange.exchange(rows.mean)
+        parts = zip(self.solids, self.rows, self.cells_with_solid, self.pores, strict=True)
+        for solid, rows, cells, pores in parts:
+            scale = fields.solid_scale if pores is None else fields.grain_scale
+            nodes.call(solid_rows.scale_parts, blocks_of(solid), scale, rows)
+            if pores is None:  # it feels no pressure on its own volume, as grains do
+                nodes.call(solid_rows.set_means, cells, lattice, rows)
+                exchange.exchange(rows.mean)
             nodes.call(
                 solid_rows.read_velocities, blocks_of(solid), nodes.velocities, per_length, rows,
             )  # fmt: skip
             nodes.call(
                 solid_rows.add_divergence, cells, lattice, real(-1), rows, level, level.residual
             )
+            if pores is not None:
+                nodes.call(pore_rows.set_pushes, blocks_of(solid), rows, pores, fields)
         self.level = level
 
     def add_product(self, potential: np.ndarray, product: np.ndarray) -> None:
@@ -134,8 +233,10 @@ class SolidResponse:
         """
         nodes, lattice, real = self.nodes, self.lattice, self.plan.real.type
         self.answers = []
-        parts = zip(self.solids, self.rows, self.cells_with_solid, self.impulses, strict=True)
-        for solid, rows, cells, impulses in parts:
+        parts = zip(
+            self.solids, self.rows, self.cells_with_solid, self.impulses, self.pores, strict=True
+        )
+        for solid, rows, cells, impulses, pores in parts:
             np.multiply(rows.mean, potential, out=rows.weighted)
             factor = real(self.mass_of_cell / solid.mass_of_cell)
             nodes.call(
@@ -144,7 +245,10 @@ class SolidResponse:
             )  # fmt: skip
             answer = solid.answer(impulses)
             self.answers.append(answer)
-            nodes.call(solid_rows.store_answer, blocks_of(solid), answer, rows)
+            if pores is None:
+                nodes.call(solid_rows.store_answer, blocks_of(solid), answer, rows)
+            else:
+                nodes.call(pore_rows.store_answer, blocks_of(solid), answer, impulses, rows, pores)
             nodes.call(
                 solid_rows.add_divergence, cells, lattice, real(1), rows, self.level, product
             )
@@ -159,17 +263,55 @@ class SolidResponse:
         for total, answer in zip(self.totals, self.answers, strict=True):
             total += factor * answer
 
-    def add_velocities(self, velocity: np.ndarray) -> None:
-        """Add the sums of the answers to the velocities of the nodes.
+    def leave_liquids(self, fields: Any, level: LevelFields, is_before: bool) -> None:
+        """Leave in u what a potential does to liquids alone, or restore the rough answers.
 
         Args:
+            fields: PressureFields.
+            level: LevelFields (u and inverse in/out).
+            is_before: Whether u is to change, else the responses are what they were.
+        """
+        change = pore_rows.subtract_rough_answers if is_before else pore_rows.restore_rough_answers
+        for solid, rows, pores, _ in self.sands:
+            self.nodes.call(change, blocks_of(solid), rows, pores, fields, level)
+
+    def add_velocities(self, liquids: Any, velocity: np.ndarray) -> None:
+        """Add the sums of the answers to the velocities of the nodes, and liquids follow sands.
+
+        Args:
+            liquids: LiquidRows.
             velocity: Velocity [m/s] and mass [kg], shape (node blocks, 256) (in/out).
         """
         dx = self.plan.real.type(self.plan.dx)
-        for solid, total in zip(self.solids, self.totals, strict=True):
+        for solid, total, pores in zip(self.solids, self.totals, self.pores, strict=True):
             self.nodes.call(
                 solid_rows.add_velocities, blocks_of(solid), solid.uptake, dx, total, velocity
             )
+            if pores is not None:
+                self.nodes.call(
+                    pore_rows.push_liquids, blocks_of(solid), liquids, pores, dx, total, velocity
+                )
+
+    def rub_at_walls(
+        self, separating: np.ndarray, fields: Any, level: LevelFields, reaction: Any
+    ) -> None:
+        """Let friction of walls slow sands by what the pressure presses on their grains.
+
+        Args:
+            separating: Blocks with nodes on separating walls.
+            fields: PressureFields.
+            level: LevelFields.
+            reaction: Reaction sums (in/out), or None.
+        """
+        nodes, unit = self.nodes, self.mass_of_cell * self.plan.dx
+        for solid, _, _, _ in self.sands:
+            blocks = blocks_of(solid)
+            on_wall = np.isin(blocks.block_of[blocks.occupied], separating)
+            blocks = blocks._replace(occupied=blocks.occupied[on_wall])
+            nodes.call(
+                boundaries.rub_sand, blocks, self.lattice, nodes.walls, unit, fields, level,
+                nodes.velocities, reaction,
+            )  # fmt: skip
 
     def stop_spray(self, liquids: Any, fields: Any, reactions: NodeReactions) -> None:
         """Stop liquids that approach solids where no pressure acts.

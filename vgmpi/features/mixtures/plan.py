@@ -7,12 +7,17 @@ import numpy as np
 from vgmpi.materials.couplings.interaction import CONTACT, DRAG, MIXING
 from vgmpi.materials.material import law_function
 from vgmpi.parallel.exchange_topology import StressProximity
-from vgmpi.planning.feature_plan import FeaturePlan, PlanDraft
+from vgmpi.planning.feature_plan import FeaturePlan, PlanDraft, PoreDrag
 from vgmpi.planning.phases_and_groups import GroupPlan
 from vgmpi.planning.step_costs import ProximityCost, StepCosts
 from vgmpi.scene.scene import Scene
 
-from .rules import InteractionRules, interaction_rules, with_slip_wave_factors
+from .rules import (
+    InteractionRules,
+    interaction_rules,
+    rules_without_drag,
+    with_slip_wave_factors,
+)
 
 FLUX, DRIFT = "flux", "drift"  # nodal volume flux and drift [m/s], for particles
 
@@ -20,8 +25,12 @@ FLUX, DRIFT = "flux", "drift"  # nodal volume flux and drift [m/s], for particle
 class MixturesPlan(FeaturePlan):
     """Phases of a run that share space.
 
+    With an implicit pressure, which finds what sands and the liquids in their pores do to each
+    other, only mixtures of liquids remain.
+
     Attributes:
         rules: Their interaction.
+        acting_rules: What of it acts here.
     """
 
     name = title = "mixtures"
@@ -45,16 +54,26 @@ class MixturesPlan(FeaturePlan):
         self.min_rate = 6.0 * float(rules.diffusion.max(initial=0.0)) / cell**2
         self.drifts = bool(rules.conservative_drift.any())
         self.finds_volumes = finds_volumes
+        self.acting_rules = rules if finds_volumes else rules_without_drag(rules)
+        if not finds_volumes:
+            self.pair_channels = {}
+            if rules.has_drag:
+                is_porous = rules.drag.any(1) & ~rules.fluid
+                self.pore_drag = PoreDrag(
+                    rules.drag, rules.porosity, np.where(is_porous, rules.volume, 0.0)
+                )
         self.gathered = (FLUX,) * finds_volumes + (DRIFT,) * self.drifts
         self.slip_relaxation = rules.slip_relaxation
         self.pair_rules, self.phase_sets = rules.pair, rules.phase_sets
-        shares_space = rules.mixture_set >= 0
+        shares_space = self.acting_rules.mixture_set >= 0
         self.shared_stress = shares_space & rules.fluid
         self.grain_volumes = np.where(shares_space & ~rules.fluid, rules.volume, 0.0)
 
-    def stress_proximity(self) -> StressProximity:
+    def stress_proximity(self) -> StressProximity | None:
         """Return near which phases stress impulses are summed separately."""
-        rules, is_same = self.rules, np.eye(len(self.rules.fluid), dtype=bool)
+        if not self.acting_rules.sets:
+            return None
+        rules, is_same = self.acting_rules, np.eye(len(self.rules.fluid), dtype=bool)
         same_mixture = rules.mixture_set[:, None] == rules.mixture_set[None, :]
         shares_space = same_mixture & (rules.mixture_set >= 0)[:, None] & ~is_same
         needs_contact = (rules.pair == CONTACT) & ~is_same
@@ -104,6 +123,8 @@ class MixturesPlan(FeaturePlan):
         Args:
             nodes: See `FeaturePlan.node_stage`.
         """
+        if not self.acting_rules.sets:
+            return None
         from .kernels import MixtureStage
         from .workspace import mixture_tables
 
@@ -112,7 +133,7 @@ class MixturesPlan(FeaturePlan):
         else:
             flux = np.zeros((0, 256), next(iter(nodes.values())).dtype)
         drift = nodes[DRIFT] if self.drifts else flux
-        return MixtureStage(flux, drift, mixture_tables(self.rules))
+        return MixtureStage(flux, drift, mixture_tables(self.acting_rules))
 
     def start(self, context: Any) -> Any:
         """Return the drift as it acts in a run beside an implicit pressure, or None.
@@ -161,9 +182,10 @@ def plan_mixtures(draft: PlanDraft) -> tuple[MixturesPlan | None, PlanDraft]:
     rules = interaction_rules(scene, draft.groups, draft.phases)
     if rules is None:
         return None, draft
-    cell = scene.domain.cell
-    groups = tuple(_with_shared_space(scene, group, rules) for group in draft.groups)
-    groups = with_slip_wave_factors(groups, rules, scene.courant_number * cell)
+    cell, finds_volumes = scene.domain.cell, not scene.is_free_of_waves
+    acting = rules if finds_volumes else rules_without_drag(rules)
+    groups = tuple(_with_shared_space(scene, group, acting) for group in draft.groups)
+    groups = with_slip_wave_factors(groups, acting, scene.courant_number * cell)
     used = {group.material for group in groups}
     bounds = [
         (
@@ -175,7 +197,6 @@ def plan_mixtures(draft: PlanDraft) -> tuple[MixturesPlan | None, PlanDraft]:
         and coupling.diffusivity > 0
         and used.issuperset(coupling.between)
     ]
-    finds_volumes = not scene.is_free_of_waves
     return MixturesPlan(rules, bounds, cell, finds_volumes), draft._replace(groups=groups)
 
 

@@ -128,6 +128,15 @@ def interaction_rules(scene: Scene, groups, phases) -> InteractionRules | None:
     )
 
 
+def rules_without_drag(rules: InteractionRules) -> InteractionRules:
+    """Return the rules of the mixtures of fluids alone, without the sands that they flow through.
+
+    Args:
+        rules: Rules of all.
+    """
+    return rules._replace(mixture_set=rules.mix, sets=rules.mixing_group_count, has_drag=False)
+
+
 def _reject_fractions(scene: Scene) -> None:
     """Reject volume fractions in the frames of a scene without mixtures."""
     if "volume_fraction" in scene.output.fields:

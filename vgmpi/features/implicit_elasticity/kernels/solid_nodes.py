@@ -75,20 +75,20 @@ class Ties(NamedTuple):
 
 
 @kernel
-def set_nodes(rows, nodes, kinds, extent, unit, velocity, marks, fields):
+def set_nodes(rows, nodes, walls, unit, velocity, nodal, marks, fields):
     """Read the nodes of some blocks, and what walls and pinned parts hold of them.
 
     Args:
         rows: Blocks to process, shape (n,).
         nodes: PhaseNodes.
-        kinds: Kinds of the walls for solids, shape (3, 2).
-        extent: Cells of the domain, shape (3,).
+        walls: Walls of the domain.
         unit: Mass of a full cell [kg].
         velocity: Velocity [m/s] and mass [kg], shape (node blocks, 256).
+        nodal: Stress impulses [kg m/s], shape (node blocks, 256).
         marks: 1 at nodes that pinned parts hold, shape (node blocks, 64), or no rows.
         fields: SolidFields (out).
     """
-    real = fields.fill.dtype.type
+    real, kinds, extent = fields.fill.dtype.type, walls.kinds_for_solids, walls.cells
     per_cell = real(1.0 / unit)
     for b in rows:
         nb, at_wall = nodes.node_block[b], _is_at_wall(nodes.block[b], extent)
@@ -110,7 +110,11 @@ def set_nodes(rows, nodes, kinds, extent, unit, velocity, marks, fields):
                 is_loose = is_own
                 if at_wall and is_own:
                     speed = velocity[nb, 4 * q + a]
-                    is_loose = not _is_held(nodes.block[b], q, a, speed, kinds, extent)
+                    pulled = speed + nodal[nb, 4 * q + a] / (mass * unit) if counts else speed
+                    is_loose = not (
+                        _is_held(nodes.block[b], q, a, speed, kinds, extent)
+                        and _is_held(nodes.block[b], q, a, pulled, kinds, extent)
+                    )
                 fields.loose[192 * b + 64 * a + q] = real(1) if is_loose else real(0)
 
 

@@ -178,23 +178,34 @@ def take_impulses(rows, nodes, per_unit, nodal, impulses):
 
 
 @kernel
-def store_impulses(rows, nodes, unit, w, fields, nodal):
+def store_impulses(rows, nodes, unit, w, remainder, fields, velocity, nodal):
     """Store the impulses that give the nodes of some blocks their changes of velocity.
+
+    What presses them on walls stays, so that these find their friction.
 
     Args:
         rows: Blocks to process, shape (n,).
         nodes: PhaseNodes.
         unit: Mass of a full cell [kg].
         w: Changes of velocity, flat.
+        remainder: Impulses less K w, also where walls hold nodes, flat; none without walls.
         fields: SolidFields.
+        velocity: Velocity [m/s] and mass [kg], shape (node blocks, 256).
         nodal: See `take_impulses` (in/out).
     """
     for b in rows:
         nb = nodes.node_block[b]
         for q in range(64):
-            mass = unit * fields.mass[64 * b + q] * fields.uptake[64 * b + q]
+            mass = unit * fields.mass[64 * b + q]
             for a in range(3):
-                nodal[nb, 4 * q + a] = mass * w[192 * b + 64 * a + q]
+                n = 192 * b + 64 * a + q
+                impulse = mass * fields.uptake[64 * b + q] * w[n]
+                if mass > 0 and len(remainder) > 0 and not fields.loose[n] > 0:
+                    is_low = node_index_of(nodes.block[b], q, a) == 0
+                    reach = mass * velocity[nb, 4 * q + a]  # it does not leave the wall
+                    impulse = unit * remainder[n]
+                    impulse = min(impulse, -reach) if is_low else max(impulse, -reach)
+                nodal[nb, 4 * q + a] = impulse
 
 
 @kernel

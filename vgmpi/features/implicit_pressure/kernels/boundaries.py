@@ -160,6 +160,47 @@ def hold_at_separating_walls(rows, lattice, walls, liquids, fields, level, veloc
 
 
 @kernel
+def rub_sand(blocks, lattice, walls, unit, fields, level, velocity, reaction):
+    """Slow a sand on separating walls by friction, by what the pressure presses on its grains.
+
+    Args:
+        blocks: SolidBlocks.
+        lattice: Blocks, Lattice.
+        walls: Walls of the domain.
+        unit: Impulse of the cells [kg m/s].
+        fields: PressureFields.
+        level: LevelFields.
+        velocity: Velocities [m/s] and masses [kg], shape (rows, 256) (velocities in/out).
+        reaction: Reaction sums (in/out), or None.
+    """
+    before, first = np.zeros(3), np.zeros(3, np.int64)
+    for i in blocks.occupied:
+        b, r = blocks.block_of[i], blocks.rows[i]
+        set_block(reaction, b)
+        for a in range(3):
+            first[a] = 4 * lattice.block[b, a] - 1
+        for q in range(64):
+            for a in range(3):
+                side = _separating_side(b, q, a, lattice, walls)
+                is_held = side != 0 and not level.inverse[192 * b + 64 * a + q] > 0
+                mass = float(velocity[r, 4 * q + 3])
+                if not is_held or not fields.share[64 * b + q] > 0 or not mass > 0:
+                    continue
+                press = -side * _push_across(b, q, a, lattice, fields)
+                if not press > 0.0:
+                    continue
+                for c in range(3):
+                    before[c] = velocity[r, 4 * q + c]
+                friction = walls.friction[a, 0] if side > 0 else walls.friction[a, 1]
+                press *= unit * fields.grain_part[64 * b + q] / mass
+                apply_coulomb_friction(velocity[r], 4 * q, friction * press)
+                add_wall_reaction(
+                    reaction, a, int(side < 0), 0 if side > 0 else walls.cells[a], q, first, before,
+                    velocity[r, 4 * q : 4 * q + 4],
+                )  # fmt: skip
+
+
+@kernel
 def stop_at_colliders(rows, lattice, walls, liquids, colliders, fields, velocity, reaction):
     """Stop the approach of nodes to colliders where no pressure acts on them.
 
@@ -269,7 +310,8 @@ def record_pressure(rows, lattice, walls, colliders, potential, fields, level, r
                 set_node_indices(ijk, lattice.block[block], node)
                 set_node(reaction, node, ijk[0], ijk[1], ijk[2])
                 share, row = fields.share[64 * block + node], colliders.row[block]
-                others = 1.0 - share - fields.solid_part[64 * block + node]
+                grain_part = fields.grain_part[64 * block + node]
+                others = 1.0 - share - grain_part - fields.solid_part[64 * block + node]
                 is_shared = row >= 0 and fields.free_part[64 * block + node] < 1 and others > 0
                 if is_shared and (len(colliders.body) == 0 or colliders.body[row, node] < 0):
                     for a in range(3):
@@ -290,7 +332,7 @@ def record_pressure(rows, lattice, walls, colliders, potential, fields, level, r
                         continue
                     for c in range(3):
                         push[c] = move[c] = 0.0
-                    push[a] = -corner_sign(corner, a) * share * quarter
+                    push[a] = -corner_sign(corner, a) * (share + grain_part) * quarter
                     set_wall(reaction, wall // 2, wall % 2, none)
                     add_pressure_reaction(reaction, reaction.first + wall, push, move)
 

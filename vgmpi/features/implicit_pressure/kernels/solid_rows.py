@@ -103,17 +103,17 @@ def read_parts(blocks, nodal, lattice, walls, per_volume, solid, fields):
 
 
 @kernel
-def scale_parts(blocks, fields, solid):
+def scale_parts(blocks, scale, solid):
     """Scale the parts of a solid so that those of all that shares a node sum up to 1.
 
     Args:
         blocks: SolidBlocks.
-        fields: PressureFields.
+        scale: Factors of the nodes, flat.
         solid: SolidRows (in/out).
     """
     for b in blocks.block_of[blocks.occupied]:
         for n in range(64 * b, 64 * (b + 1)):
-            solid.theta[n] *= fields.solid_scale[n]
+            solid.theta[n] *= scale[n]
 
 
 @kernel
