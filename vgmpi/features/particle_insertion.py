@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vgmpi.kernels.kernel_arguments import MAX_CELLS_PER_STEP, MAX_VOLUME_STRAIN_PER_STEP
+from vgmpi.kernels.kernel_arguments import MAX_VOLUME_STRAIN_PER_STEP
 from vgmpi.kernels.step_records import ParticleBounds
 from vgmpi.materials.material import law_function
 from vgmpi.parallel import migration
@@ -106,7 +106,7 @@ def bounds_of(
     wave2 = group.bound(max(law_function(law, "wave_speed2")(law, state) for state in states))
     tau = [np.abs(law_function(law, "stress")(law, state, (0.0,) * 9)).sum() for state in states]
     speed, wave = float(np.sqrt((v**2).sum(1)).max()), float(np.sqrt(wave2))
-    rate = max((wave + speed) / (cfl * dx), speed / (MAX_CELLS_PER_STEP * dx))
+    rate = max((wave + speed) / (cfl * dx), speed / (plan.time_step.max_cells * dx))
     rate = max(rate, float(np.abs(C[:, 0] + C[:, 4] + C[:, 8]).max()) / MAX_VOLUME_STRAIN_PER_STEP)
     stress = float(max(tau)) / (group.density * group.wave.min_porosity)
     return ParticleBounds(rate, speed, float(np.sqrt((C**2).sum(1)).max()), stress)

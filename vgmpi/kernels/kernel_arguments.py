@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-MAX_CELLS_PER_STEP = 0.3  # [cells] largest displacement of a particle in a step
+# [cells] largest displacement of a particle in a step, and where waves do not bound it
+MAX_CELLS_PER_STEP, MAX_CELLS_WITHOUT_WAVES = 0.3, 1.0 / 3.0
 MAX_VOLUME_STRAIN_PER_STEP = (
     0.1  # [-] largest relative volume change of a particle in a step: |tr C| dt
 )

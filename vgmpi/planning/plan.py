@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from vgmpi.kernels.kernel_arguments import MAX_CELLS_PER_STEP, MAX_CELLS_WITHOUT_WAVES
 from vgmpi.materials.couplings.contact_rule import Contact
 from vgmpi.materials.couplings.interaction import CONTACT
 from vgmpi.materials.material import law_function
@@ -103,6 +104,7 @@ class TimeStepPlan(NamedTuple):
     cfl: float  # [-] CFL number
     fixed: float  # [s] length of all steps, 0 if cfl bounds them
     min_rate: float  # [1/s] lower bound of 1 / dt from constant terms (viscosity, diffusion)
+    max_cells: float  # [cells] largest displacement of a particle in a step
     motion_steps: tuple[float, ...] = ()  # least steps in equal intervals, by prescribed motions
 
 
@@ -311,7 +313,8 @@ def make_plan(
         collider=collider,
         times=np.linspace(0.0, scene.time.end, scene.time.frames),
         time_step=TimeStepPlan(
-            scene.courant_number, scene.time.dt, _rate(scene, groups, draft.features)
+            scene.courant_number, scene.time.dt, _rate(scene, groups, draft.features),
+            MAX_CELLS_WITHOUT_WAVES if scene.is_free_of_waves else MAX_CELLS_PER_STEP,
         ),
         affine=scene.accuracy.affine,
         correction_interval=interval,

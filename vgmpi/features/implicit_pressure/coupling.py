@@ -180,7 +180,7 @@ class ImplicitPressure(ActiveFeature):
                     boundaries.reserve_nodes, self.shared.colliders, liquids, colliders, fields,
                     self.reserved_nodes,
                 )  # fmt: skip
-        self._find_displacements(nodes, liquids, cells, wet)
+        self._find_displacements(nodes, colliders, liquids, cells, wet)
 
     def _reactions(self, sums) -> NodeReactions:
         """Return what records reactions at nodes in sums, or None."""
@@ -248,12 +248,13 @@ class ImplicitPressure(ActiveFeature):
         return cells, wet
 
     def _find_displacements(
-        self, nodes: NodeState, liquids: LiquidRows, cells: list[np.ndarray], wet: list[np.ndarray]
-    ) -> None:
+        self, nodes: NodeState, colliders: ColliderNodes, liquids: LiquidRows,
+        cells: list[np.ndarray], wet: list[np.ndarray],
+    ) -> None:  # fmt: skip
         """Find the displacements that spread what crowds. Collective.
 
         Args:
-            nodes, liquids: Nodes of the rank, and the liquids at them.
+            nodes, colliders, liquids: Nodes of the rank, and colliders and liquids at them.
             cells, wet: See `_set_system`.
         """
         fields, solver, count = self.fields, self.solver, 64 * self.solver.count
@@ -266,6 +267,10 @@ class ImplicitPressure(ActiveFeature):
         nodes.call(
             boundaries.stop_moves, self.separating, solver.lattice, nodes.walls, liquids, moves
         )
+        if len(self.shared.colliders):
+            nodes.call(
+                boundaries.push_out_of_colliders, self.shared.colliders, liquids, colliders, moves
+            )
 
     def _let_in(self, time: float) -> None:
         """Hold the nodes of walls through which liquid enters at a time [s] at its velocity."""

@@ -31,7 +31,7 @@ from . import geometry
 from .flow_accounting import FlowAccounting
 from .plan import InletPlan, InletsOutletsPlan, OutletPlan
 
-INTERVAL = 4  # [steps] between removals, by step number, so that a restart does not shift them
+MAX_WAY_CELLS = 1.4  # [cells] of a particle between removals: half a cell beyond a wall it is lost
 STRAY_CELLS = 4.0  # [cells] greatest distance of a particle from its block's center between sorts
 STATIC_CHANNELS = ("vol0", "color", "surface")  # channels that a nozzle particle keeps
 
@@ -242,10 +242,12 @@ class Outlets:
         self.plan, self.groups, self.flow = context.plan, context.groups, flow
         self.note_moved = context.move_particles
         self.regions = [_Region(outlet) for outlet in outlets]
+        # by step number, so that a restart does not shift it
+        self.interval = int(MAX_WAY_CELLS / context.plan.time_step.max_cells)  # [steps]
 
     def remove_particles(self, span: StepSpan) -> None:
-        """Remove this rank's particles inside an outlet, after every INTERVAL steps."""
-        if self.regions and span.number % INTERVAL == 0:
+        """Remove this rank's particles inside an outlet, after every `interval` steps."""
+        if self.regions and span.number % self.interval == 0:
             removed = [self._remove_from(group, g, span.end) for g, group in enumerate(self.groups)]
             if any(removed):  # others on this rank have new indices
                 self.note_moved()

@@ -5,7 +5,6 @@ import math
 import numpy as np
 
 from vgmpi.features.active_feature import ActiveFeature, StartContext
-from vgmpi.kernels.kernel_arguments import MAX_CELLS_PER_STEP
 from vgmpi.kernels.step_records import StepSpan
 from vgmpi.parallel.particle_group import ParticleGroup
 from vgmpi.runtime.jit import kernel
@@ -46,7 +45,7 @@ class Loads(ActiveFeature):
     def limit_rate(self, time: float, rate: float) -> float:
         """Return 1 / dt [1/s] with the impulsive velocity changes within that step."""
         plan, speed = self.plan, self.impulsive_speed_ahead(time, 1.0 / rate)
-        return rate + speed / (min(plan.time_step.cfl, MAX_CELLS_PER_STEP) * plan.dx)
+        return rate + speed / (min(plan.time_step.cfl, plan.time_step.max_cells) * plan.dx)
 
     def push_particles(self, span: StepSpan) -> float:
         """Apply the loads of one time step to the particle velocities.

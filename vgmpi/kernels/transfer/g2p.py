@@ -15,7 +15,6 @@ import numpy as np
 from vgmpi.kernels.kernel_arguments import (
     J_MAX,
     J_MIN,
-    MAX_CELLS_PER_STEP,
     MAX_VOLUME_STRAIN_PER_STEP,
 )
 from vgmpi.kernels.particle_records import (
@@ -93,6 +92,7 @@ class StepConstants(NamedTuple):
 
     dt: float  # [s] time step, in the working precision
     cfl: float  # [-] CFL number
+    max_cells: float  # [cells] largest displacement of a particle, in double precision
     units_per_cell: float  # units of the fixed-point positions per cell, 2^bits
     dither_x: float  # [position units]
     dither_y: float
@@ -245,7 +245,7 @@ def record_step_bounds(report, fastest, distance, quick, stretching, carried, tu
     rate = horizontal_max(fastest) / (motion.cfl * dx)
     rate = max(
         rate,
-        horizontal_max(quick) / (MAX_CELLS_PER_STEP * dx),
+        horizontal_max(quick) / (motion.max_cells * dx),
         horizontal_max(stretching) / MAX_VOLUME_STRAIN_PER_STEP,
     )
     report[RATE] = max(report[RATE], rate)

@@ -145,8 +145,8 @@ class Cpu(CompiledEngine):
         """Transfer grid velocities to the particles and advect them."""
         real = self.plan.real.type
         motion = g2p.StepConstants(
-            real(self.dt), real(self.plan.time_step.cfl), 2.0 ** BITS[self.plan.real],
-            *dither_of_step(step),
+            real(self.dt), real(self.plan.time_step.cfl), self.plan.time_step.max_cells,
+            2.0 ** BITS[self.plan.real], *dither_of_step(step),
         )  # fmt: skip
         self.memory.reports[:] = 0
         self.each(self._gather, motion)

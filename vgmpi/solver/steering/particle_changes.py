@@ -7,7 +7,6 @@ import numpy as np
 
 from vgmpi.features.active_feature import ActiveFeature
 from vgmpi.features.particle_insertion import bounds_of_particles
-from vgmpi.kernels.kernel_arguments import MAX_CELLS_PER_STEP
 from vgmpi.kernels.step_records import ParticleBounds, StepSpan
 from vgmpi.parallel.particle_group import ParticleGroup
 
@@ -101,7 +100,8 @@ class ParticleChanges(ActiveFeature):
         plan = self.simulation.plan
         if not self.fastest:
             return rate
-        return rate + self.fastest / (rate * min(plan.time_step.cfl, MAX_CELLS_PER_STEP) * plan.dx)
+        cells = min(plan.time_step.cfl, plan.time_step.max_cells)
+        return rate + self.fastest / (rate * cells * plan.dx)
 
     def push_particles(self, span: StepSpan) -> float:
         """Apply the forces of a step to the velocities; return a bound [m/s] of what they add."""

@@ -23,7 +23,7 @@ from vgmpi.kernels.wall_boundary import RELEASING, apply_coulomb_friction
 from vgmpi.runtime.jit import always_inline, kernel
 
 from ..liquid_rows import filled_part, mean_velocity, part_of_row, response_of_liquids
-from ..pressure_system import MIN_NODE_FILL
+from ..pressure_system import MAX_MOVE, MIN_NODE_FILL
 from .cell_stencils import (
     corner_node,
     corner_sign,
@@ -35,6 +35,7 @@ from .cell_stencils import (
 
 # [cells] distances from a collider at which approach is stopped wholly, and not at all
 STOP_DISTANCE, FREE_DISTANCE = 0.25, 1.05
+OUTWARD_DEPTH, OUTWARD_RATE = 0.9, 1.0  # [cells] of nodes that push out of colliders, [-] per step
 
 
 @always_inline
@@ -355,3 +356,29 @@ def stop_moves(rows, lattice, walls, liquids, moves):
                 for r in range(liquids.first[b], liquids.first[b + 1]):
                     if side * moves[r, 4 * q + a] < 0:
                         moves[r, 4 * q + a] = 0
+
+
+@kernel
+def push_out_of_colliders(rows, liquids, colliders, moves):
+    """Move liquids out of colliders by the nodes deep in them.
+
+    Particles at a surface hardly reach these: only what has got in moves.
+
+    Args:
+        rows: Blocks to process, shape (n,): those near colliders.
+        liquids: LiquidRows.
+        colliders: ColliderNodes.
+        moves: See `store_moves` (in/out).
+    """
+    for b in rows:
+        row = colliders.row[b]
+        for q in range(64):
+            depth = -colliders.nodes[row, q, 3] / liquids.dx - OUTWARD_DEPTH
+            if not depth > 0:
+                continue
+            push = min(OUTWARD_RATE * depth, MAX_MOVE)
+            for r in range(liquids.first[b], liquids.first[b + 1]):
+                if liquids.per_cell[liquids.phase[r]] > 0:
+                    for a in range(3):
+                        outward = push * colliders.nodes[row, q, a]
+                        moves[r, 4 * q + a] += moves.dtype.type(outward)

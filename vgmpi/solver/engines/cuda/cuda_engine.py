@@ -7,7 +7,6 @@ import numpy as np
 
 from vgmpi.kernels.grid import update as grid
 from vgmpi.kernels.kernel_arguments import (
-    MAX_CELLS_PER_STEP,
     MAX_VOLUME_STRAIN_PER_STEP,
     Segments,
     Step,
@@ -294,8 +293,8 @@ class Cuda(CompiledEngine):
         """Transfer grid velocities to the particles and advect them."""
         self.step_number = step + 1
         motion = g2p.StepConstants(
-            self.real(self.dt), self.real(self.plan.time_step.cfl), 2.0 ** BITS[self.plan.real],
-            *dither_of_step(step),
+            self.real(self.dt), self.real(self.plan.time_step.cfl), self.plan.time_step.max_cells,
+            2.0 ** BITS[self.plan.real], *dither_of_step(step),
         )  # fmt: skip
         for part, work in zip(self.parts, self.work, strict=True):
             self._gather_one(part, work, motion)
@@ -342,7 +341,7 @@ class Cuda(CompiledEngine):
         prescribed, dt = report.prescribed_maxima, self.real(self.dt)
         dx, cfl = self.real(self.plan.dx), self.real(self.plan.time_step.cfl)
         rate = max(
-            float(fastest / (cfl * dx)), float(fast) / (MAX_CELLS_PER_STEP * float(dx)),
+            float(fastest / (cfl * dx)), float(fast) / (self.plan.time_step.max_cells * float(dx)),
             float(stretching) / MAX_VOLUME_STRAIN_PER_STEP,
         )  # fmt: skip
         failure, failed = int(report.failure[0]), []

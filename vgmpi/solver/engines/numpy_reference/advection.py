@@ -5,7 +5,6 @@ import numpy as np
 from vgmpi.kernels.kernel_arguments import (
     J_MAX,
     J_MIN,
-    MAX_CELLS_PER_STEP,
     MAX_VOLUME_STRAIN_PER_STEP,
 )
 from vgmpi.kernels.step_records import StepReport, dither_of_step
@@ -55,9 +54,8 @@ def advect(
     inside = ((position > -2.0) & (position < np.array(plan.cells) - 1.0)).all(1)
     speed = np.linalg.norm(v, axis=1)
     rates = (np.sqrt(np.maximum(wave2, 0.0)) + speed) / (plan.time_step.cfl * dx)
-    rates = np.maximum(
-        rates, np.maximum(speed / (MAX_CELLS_PER_STEP * dx), trace / MAX_VOLUME_STRAIN_PER_STEP)
-    )
+    rates = np.maximum(rates, speed / (plan.time_step.max_cells * dx))
+    rates = np.maximum(rates, trace / MAX_VOLUME_STRAIN_PER_STEP)
     reason = np.select(
         [~intact, ~tame, ~slow, ~inside],
         [g2p.INVALID_VOLUME, g2p.NOT_FINITE, g2p.CFL_EXCEEDED, g2p.OUT_OF_DOMAIN],
