@@ -10,6 +10,7 @@ import pytest
 from tests.physics.test_bar import EXACT, RHO, E, L, frequency_and_step
 from tests.support.simulate import advance, begin, by_id, totals
 from vgmpi.features.implicit_elasticity import coupling
+from vgmpi.features.implicit_elasticity.kernels import solid_nodes
 
 G, DX = 9.81, 0.01  # [m/s2], [m]
 SCENE = """
@@ -181,3 +182,39 @@ shape = { box = [[0.05, 0.02, 0], [0.13, 0.1, 0.06]] }
         advance(simulation, t)
         (v,) = by_id(simulation, "v")
         assert 0.6 - v[:, 0].mean() == pytest.approx(0.3 * G * t, rel=0.15)
+
+
+def test_a_block_between_separating_walls_comes_to_rest(tmp_path):
+    """It fills the space between them, and leans in the wind of a sideways gravity.
+
+    Where walls stop single nodes it has a hundred times its energy after these steps.
+    """
+    block = """
+[[object]]
+name = "block"
+material = "rubber"
+shape = { box = [[0.12, 0, 0], [0.18, 0.04, 0.18]] }
+"""
+    text = scene(block, accuracy='elasticity = "implicit"', walls="WALLS").replace(
+        '"WALLS"', '{ bottom = "stick" }'
+    )
+    text = text.replace("size = [0.24, 0.24, 0.24]", "size = [0.28, 0.04, 0.24]")
+    text = text.replace("gravity = [0,", "gravity = [3,").replace("density = 400", "density = 1000")
+    text = text.replace("youngs_modulus = 2e4", "youngs_modulus = 1e6")
+    simulation, _ = begin(tmp_path, text)
+    before = totals(simulation)["energy"]
+    for _ in range(420):
+        simulation.advance(simulation.bound())
+    assert totals(simulation)["energy"] < 1.1 * before
+    (v,) = by_id(simulation, "v")
+    assert np.abs(v).max() < 0.05
+
+
+def test_nodes_of_no_mass_do_not_answer_alone():
+    """They follow others, and no cell around them has any stiffness."""
+    real = np.dtype(np.float32)
+    fields = solid_nodes.solid_fields(1, real)
+    one, first = np.array([21]), np.array([0, 1])
+    ties = solid_nodes.Ties(one, first, one + 1, np.ones(1, real))
+    solid_nodes.set_relative_response(np.arange(1), ties, real.type(0), fields)
+    assert fields.relative_response[21] == 0

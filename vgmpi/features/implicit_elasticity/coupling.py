@@ -89,7 +89,8 @@ class ImplicitElasticity(ActiveFeature):
         self.ranks = context.ranks
         pairs, own = plan.pair_rules, [solid.phase for solid in solids]
         touches = pairs is None or bool((pairs[own] == CONTACT).sum() > len(own))
-        self.couples_nodes = plan.collider or (plan.contact.has_pairs and touches)
+        stops = any(kind == "separate" for kind, _ in plan.walls.solids)
+        self.couples_nodes = plan.collider or stops or (plan.contact.has_pairs and touches)
         self.systems = [SolidSystem(context, solid) for solid in solids]
         self.deformable_solids = self.systems
 
@@ -134,7 +135,8 @@ class ImplicitElasticity(ActiveFeature):
     def couple_nodes(self, nodes: NodeState, span: StepSpan, gravity: np.ndarray) -> None:
         """Let the impulses of contact act on the nodes of each solid together.
 
-        Contact has stopped single nodes: a kink that would be an error of the stress.
+        Contact, and walls that let go, have stopped single nodes: a kink that would be an error of
+        the stress.
 
         Args:
             nodes, span, gravity: See `ActiveFeature.couple_nodes`.

@@ -422,4 +422,5 @@ def set_relative_response(rows, ties, trace, fields):
         for o in range(8):
             total += fields.cells[first - o % 2 - EDGE * (o // 2 % 2) - EDGE * EDGE * (o // 4)]
         mass = fields.mass[n]
-        fields.relative_response[n] = real(RELATIVE_RESPONSE) * mass / (mass + diagonal * total)
+        part = mass / (mass + diagonal * total) if mass > 0 else real(0)
+        fields.relative_response[n] = real(RELATIVE_RESPONSE) * part

@@ -13,7 +13,7 @@ sweep takes s = 1, and the others do not change momentum.
 from vgmpi.kernels.grid.cell_stiffness import multiply_block, stiffness_scratch
 from vgmpi.kernels.grid.phase_nodes import node_index_of
 from vgmpi.kernels.simd.vector16 import load, pointer, store
-from vgmpi.runtime.jit import kernel
+from vgmpi.runtime.jit import always_inline, kernel
 
 MIN_CHANGE = 1e-5  # [-] smaller changes of a velocity are rounding, no contact
 
@@ -227,9 +227,18 @@ def expect_velocities(rows, nodes, velocity, w, expected):
                 expected[n] = velocity[nb, 4 * q + a] + w[n]
 
 
+@always_inline
+def _is_on_wall(block, q, axis, extent):
+    """Return whether a node of a block is on a wall across an axis, or beyond it."""
+    node = node_index_of(block, q, axis)
+    return node <= 0 or node >= extent[axis]
+
+
 @kernel
 def take_contact(rows, nodes, extent, velocity, fields, expected, impulses, touches):
-    """Take the impulses of what has changed the nodes of some blocks, but for those that are held.
+    """Take the impulses of what has changed the nodes of some blocks where nothing holds them.
+
+    Of nodes on walls these are the impulses across the wall.
 
     Args:
         rows: Blocks to process, shape (n,).
@@ -244,13 +253,15 @@ def take_contact(rows, nodes, extent, velocity, fields, expected, impulses, touc
         nb = nodes.node_block[b]
         for q in range(64):
             mass, on_wall = fields.mass[64 * b + q], False
-            for a in range(3):
-                node = node_index_of(nodes.block[b], q, a)
-                on_wall = on_wall or node <= 0 or node >= extent[a]
-            if on_wall or fields.is_held[64 * b + q] > 0 or not mass > 0:
+            if fields.is_held[64 * b + q] > 0 or not mass > 0:
                 continue
             for a in range(3):
+                on_wall = on_wall or _is_on_wall(nodes.block[b], q, a, extent)
+            for a in range(3):
                 n = 192 * b + 64 * a + q
+                is_free = not on_wall or _is_on_wall(nodes.block[b], q, a, extent)
+                if not is_free or not fields.loose[n] > 0:
+                    continue
                 change = velocity[nb, 4 * q + a] - expected[n]
                 if abs(change) > MIN_CHANGE * abs(expected[n]):
                     impulses[n] = mass * change
