@@ -16,7 +16,7 @@ from vgmpi.materials.material import law_function
 from vgmpi.planning.phases_and_groups import color_sets, connected_sets
 from vgmpi.planning.plan import make_plan
 from vgmpi.preprocess.scene_builder import build_scene
-from vgmpi.scene.scene import miscible_materials
+from vgmpi.scene.scene import MAX_CELLS_PER_STEP, miscible_materials
 
 THEORY = (Path(__file__).parents[2] / "docs" / "explanation" / "time-step.md").read_text()
 
@@ -132,7 +132,7 @@ def number(said):
 @pytest.mark.parametrize(
     "said, numbers",
     [
-        (r"\|v\| / \((\S+) dx\)", (kernel_arguments.MAX_CELLS_PER_STEP,)),
+        (r"\|v\| / \((\S+) dx\)", (MAX_CELLS_PER_STEP,)),
         (r"\|tr C\| / (\S+) ", (kernel_arguments.MAX_VOLUME_STRAIN_PER_STEP,)),
         (r"when J leaves (\S+) \.\. (\S+),", (kernel_arguments.J_MIN, kernel_arguments.J_MAX)),
         (

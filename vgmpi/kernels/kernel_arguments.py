@@ -1,4 +1,4 @@
-"""Kernel arguments by name, and limits of a step.
+"""Kernel arguments by name, and limits of a step that kernels hold.
 
 The tables hold the particles and segments of a group, the node blocks of a rank, the sums of a
 nodal field and the domain's walls. docs/explanation/time-step.md explains the limits. They stand in
@@ -10,8 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-# [cells] largest displacement of a particle in a step, and where waves do not bound it
-MAX_CELLS_PER_STEP, MAX_CELLS_WITHOUT_WAVES = 0.3, 1.0 / 3.0
 MAX_VOLUME_STRAIN_PER_STEP = (
     0.1  # [-] largest relative volume change of a particle in a step: |tr C| dt
 )

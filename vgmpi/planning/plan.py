@@ -12,7 +12,6 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from vgmpi.kernels.kernel_arguments import MAX_CELLS_PER_STEP, MAX_CELLS_WITHOUT_WAVES
 from vgmpi.materials.couplings.contact_rule import Contact
 from vgmpi.materials.couplings.interaction import CONTACT
 from vgmpi.materials.material import law_function
@@ -314,7 +313,7 @@ def make_plan(
         times=np.linspace(0.0, scene.time.end, scene.time.frames),
         time_step=TimeStepPlan(
             scene.courant_number, scene.time.dt, _rate(scene, groups, draft.features),
-            MAX_CELLS_WITHOUT_WAVES if scene.is_free_of_waves else MAX_CELLS_PER_STEP,
+            scene.max_cells_per_step,
         ),
         affine=scene.accuracy.affine,
         correction_interval=interval,

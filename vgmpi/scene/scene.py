@@ -15,6 +15,8 @@ from .scene_feature import ParticleSource, features, phases_of_features, source_
 from .sections import SECTIONS, Accuracy, Appearance, Domain, Output, Time
 
 DEFAULT_CFL, SMALL_CFL = 0.55, 0.4  # [-] default CFL number, and that of `courant_number`'s cases
+# [cells] largest displacement of a particle in a step, and where waves do not bound the step
+MAX_CELLS_PER_STEP, MAX_CELLS_WITHOUT_WAVES = 0.3, 1.0 / 3.0
 
 
 @dataclass(frozen=True, repr=False)
@@ -94,6 +96,11 @@ class Scene:
             return self.time.cfl
         is_small = self.is_free_of_waves or self.time.dt > 0.0
         return SMALL_CFL if is_small else DEFAULT_CFL
+
+    @property
+    def max_cells_per_step(self) -> float:
+        """Return the largest displacement of a particle in a step [cells]."""
+        return MAX_CELLS_WITHOUT_WAVES if self.is_free_of_waves else MAX_CELLS_PER_STEP
 
     @property
     def is_free_of_waves(self) -> bool:

@@ -35,7 +35,7 @@ from .cell_stencils import (
 
 # [cells] distances from a collider at which approach is stopped wholly, and not at all
 STOP_DISTANCE, FREE_DISTANCE = 0.25, 1.05
-OUTWARD_DEPTH, OUTWARD_RATE = 0.9, 1.0  # [cells] of nodes that push out of colliders, [-] per step
+OUTWARD_DEPTH, OUTWARD_RATE = 1.0, 2.0  # [cells] of nodes that push out of colliders, [-] per step
 
 
 @always_inline
