@@ -10,7 +10,7 @@ import vgmpi
 import vgmpi.solver.simulation
 from tests.support.small_scenes import write
 
-MEASURED = 600, 1200, 1800  # steps
+MEASURED = 600, 1200, 1800, 2400, 3000  # steps
 BOUND = 16  # [bytes] per step
 SCENE = """
 [domain]
@@ -66,8 +66,8 @@ class Enough(Exception):
 def test_memory_does_not_grow_with_steps(tmp_path, monkeypatch, more):
     """Rows of probes are in their tables, so that a run of millions of steps does not hold them.
 
-    What is lost is lost in both intervals; tables of blocks become larger in one and smaller in the
-    other.
+    What is lost is lost in every interval; tables of blocks become larger in one and smaller in
+    another.
     """
     sizes = []
     original = vgmpi.solver.simulation.Simulation.advance
