@@ -13,7 +13,7 @@ from vgmpi.kernels.simd.row_ops import (
     shift_from_south,
 )
 from vgmpi.kernels.simd.vector16 import load
-from vgmpi.kernels.wall_boundary import RELEASING, SLIP, STICK
+from vgmpi.kernels.wall_boundary import OPEN, RELEASING, SLIP, STICK
 from vgmpi.runtime.jit import always_inline
 
 
@@ -160,6 +160,20 @@ def node_index(b, q, axis, lattice):
     """
     step = q // 16 if axis == 0 else (q // 4 % 4 if axis == 1 else q % 4)
     return 4 * lattice.block[b, axis] - 1 + step
+
+
+@always_inline
+def count_images(b, q, lattice, walls):
+    """Return how many images a node stands for: twice as many on a wall, 0 beyond the domain."""
+    images = 1
+    for a in range(3):
+        node = node_index(b, q, a, lattice)
+        for side in range(2):
+            if node == side * walls.cells[a] and walls.kinds[a, side] != OPEN:
+                images *= 2
+        if not (0 <= node <= walls.cells[a]):
+            images = 0
+    return images
 
 
 @always_inline

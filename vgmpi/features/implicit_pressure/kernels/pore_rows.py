@@ -15,12 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vgmpi.kernels.wall_boundary import OPEN
 from vgmpi.runtime.aligned_arrays import aligned_zeros
 from vgmpi.runtime.jit import kernel
 
 from ..liquid_rows import volume_of_row
-from .cell_stencils import node_index
+from .cell_stencils import count_images, node_index
 
 MIN_LIQUID = 1e-9  # [-] nodes with less of a full cell have none
 
@@ -245,13 +244,7 @@ def read_grains(blocks, velocity, lattice, walls, per_mass, solid, fields):
     for i in blocks.occupied:
         b = blocks.block_of[i]
         for q in range(64):
-            images = real(1)
-            for a in range(3):
-                node = node_index(b, q, a, lattice)
-                if node == 0 or node == walls.cells[a]:
-                    images *= real(1) if walls.kinds[a, int(node > 0)] == OPEN else real(2)
-                if not (0 <= node <= walls.cells[a]):
-                    images *= real(0)
+            images = real(count_images(b, q, lattice, walls))
             part = images * per_mass * velocity[blocks.rows[i], 4 * q + 3]
             part = min(max(part, real(0)), real(1)) * blocks.is_attached[64 * i + q]
             solid.theta[64 * b + q] = part

@@ -18,7 +18,6 @@ from vgmpi.kernels.reaction_impulses import (
     set_node,
 )
 from vgmpi.kernels.simd.vector16 import load, pointer, store
-from vgmpi.kernels.wall_boundary import OPEN
 from vgmpi.materials.tensor_math.select import select
 from vgmpi.runtime.aligned_arrays import aligned_zeros
 from vgmpi.runtime.jit import always_inline, kernel
@@ -26,11 +25,11 @@ from vgmpi.runtime.jit import always_inline, kernel
 from ..liquid_rows import filled_part
 from ..pressure_system import MIN_MEETING_PART
 from .cell_stencils import (
+    count_images,
     differences_below,
     divergence,
     is_held,
     mean_of_nodes,
-    node_index,
 )
 
 FULL_NODE, CROWDED_NODE = 0.75, 0.5  # [-] filled part at which approach ends wholly, and not at all
@@ -85,14 +84,7 @@ def read_parts(blocks, nodal, lattice, walls, per_volume, solid, fields):
     for i in blocks.occupied:
         b = blocks.block_of[i]
         for q in range(64):
-            images = real(1)
-            for a in range(3):
-                node = node_index(b, q, a, lattice)
-                for side in range(2):
-                    if node == side * walls.cells[a] and walls.kinds[a, side] != OPEN:
-                        images *= real(2)
-                if not (0 <= node <= walls.cells[a]):
-                    images *= real(0)
+            images = real(count_images(b, q, lattice, walls))
             part = images * per_volume * nodal[rows[i], 4 * q + 3]
             part = min(max(part, real(0)), real(1)) * attached[64 * i + q]
             solid.theta[64 * b + q] = part
