@@ -164,7 +164,13 @@ def node_index(b, q, axis, lattice):
 
 @always_inline
 def count_images(b, q, lattice, walls):
-    """Return how many images a node stands for: twice as many on a wall, 0 beyond the domain."""
+    """Return how many images a node stands for: twice as many on a wall, 0 beyond the domain.
+
+    Args:
+        b, q: Block, and number of the node in it.
+        lattice: Blocks, Lattice.
+        walls: Walls of the domain.
+    """
     images = 1
     for a in range(3):
         node = node_index(b, q, a, lattice)
