@@ -150,24 +150,37 @@ class DeformableSolid(Protocol):
 
     Attributes:
         phase: The phase.
-        rows: Rows of its blocks among the node blocks of the rank, shape (n,).
-        block_of: Rows of its blocks among the blocks of the rank, shape (n,).
-        occupied_rows: Numbers of those of its n blocks that have nodes at which impulses reach it.
-        is_attached: 1 for nodes at which impulses reach the solid, flat, 64 of a block.
-        loose: 1 for the directions in which no wall holds a node, flat, 192 of a block.
-        uptake: Impulse over mass and change of velocity of a node, flat, 64 of a block: 1, but vast
-            where something holds it.
+        occupied_rows: Numbers of those of its system's blocks that have nodes at which impulses
+            reach it.
         mass_of_cell: Mass of a full cell [kg].
     """
 
     phase: int
+    occupied_rows: np.ndarray
+    mass_of_cell: float
+
+
+class DeformableSolids(Protocol):
+    """System of phases of solids that answer to impulses in one solution, each on its own.
+
+    Attributes:
+        rows: Rows of its blocks among the node blocks of the rank, shape (n,).
+        block_of: Rows of its blocks among the blocks of the rank, shape (n,).
+        is_attached: 1 for nodes at which impulses reach a solid, flat, 64 of a block.
+        loose: 1 for the directions in which no wall holds a node, flat, 192 of a block.
+        uptake: Impulse over mass and change of velocity of a node, flat, 64 of a block: 1, but vast
+            where something holds it.
+    """
+
     rows: np.ndarray
     block_of: np.ndarray
-    occupied_rows: np.ndarray
     is_attached: np.ndarray
     loose: np.ndarray
     uptake: np.ndarray
-    mass_of_cell: float
+
+    @property
+    def parts(self) -> Sequence[DeformableSolid]:
+        """Return the phases."""
 
     def carry(self, masses: np.ndarray) -> np.ndarray:
         """Let the nodes carry masses besides their own in all further answers of the step.
@@ -185,8 +198,8 @@ class DeformableSolid(Protocol):
         """Return the changes of velocity by impulses, a symmetric operator. Collective.
 
         Args:
-            impulses: Per mass of a full cell, flat, 192 of a block, axis after axis, and the row
-                of no block.
+            impulses: Per mass of a full cell of each phase, flat, 192 of a block, axis after axis,
+                and the row of no block.
         """
 
 
@@ -237,7 +250,7 @@ class ActiveFeature:
     attaches_to_bodies = False
     phases = np.zeros(0, bool)
     filters_impulses = False
-    deformable_solids: Sequence[DeformableSolid] = ()
+    deformable_solids: Sequence[DeformableSolids] = ()
     couples_nodes = False
     has_request = False
     is_fixed = True

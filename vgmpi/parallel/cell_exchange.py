@@ -6,6 +6,7 @@ the cells around its own that others compute. All lists follow from the block di
 order on both sides.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -166,6 +167,55 @@ def phase_topology(
         size=3 * nodes.size,
     )
     return PhaseTopology(rows, block_of[rows], block, nodes, vectors)
+
+
+def join_topologies(parts: Sequence[PhaseTopology]) -> PhaseTopology:
+    """Return the nodes of several phases as one topology, phase after phase.
+
+    The numbers that two ranks exchange of all phases travel in one message. No block is a neighbor
+    of one of another phase.
+
+    Args:
+        parts: Topologies of the phases on a rank, the same phases on all ranks.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    return PhaseTopology(
+        np.concatenate([part.rows for part in parts]),
+        np.concatenate([part.block_of for part in parts]),
+        np.concatenate([part.block for part in parts]),
+        _join_cells([part.nodes for part in parts]),
+        _join_cells([part.vectors for part in parts]),
+    )
+
+
+def _join_cells(parts: Sequence[CellTopology]) -> CellTopology:
+    """Return the cells of several topologies as one."""
+    firsts = np.cumsum([0, *(len(part.region) for part in parts)])
+    sizes = np.cumsum([0, *(part.size for part in parts)])
+    count, size = firsts[-1], sizes[-1]
+    neighbors = [
+        np.where(part.neighbors < len(part.region), part.neighbors + first, count)
+        for part, first in zip(parts, firsts[:-1], strict=True)
+    ]
+
+    def _join_indices(dicts: list[dict[int, np.ndarray]]) -> dict[int, np.ndarray]:
+        """Return the indices by rank; those of no block stay so."""
+        joined: dict[int, list[np.ndarray]] = {}
+        for own, first, part in zip(dicts, sizes[:-1], parts, strict=True):
+            for rank, index in own.items():
+                moved = np.where(index < part.size, index + first, size)
+                joined.setdefault(rank, []).append(moved)
+        return {rank: np.concatenate(joined[rank]) for rank in sorted(joined)}
+
+    return CellTopology(
+        np.concatenate(neighbors),
+        np.concatenate([part.region for part in parts]),
+        np.concatenate([part.counted for part in parts]),
+        _join_indices([part.sends for part in parts]),
+        _join_indices([part.receives for part in parts]),
+        int(size),
+    )
 
 
 def blocks_around(blocks: np.ndarray, others: np.ndarray) -> np.ndarray:

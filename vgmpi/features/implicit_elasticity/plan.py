@@ -91,9 +91,10 @@ class ImplicitElasticityPlan(FeaturePlan):
         """
         if not self.solids:
             return None
-        from .coupling import ImplicitElasticity  # it compiles
+        from .coupling import ImplicitElasticity  # they compile
+        from .solid_system import join_solids
 
-        return ImplicitElasticity(context, self.solids)
+        return ImplicitElasticity(context, join_solids(context, self.solids))
 
 
 def plan_implicit_elasticity(draft: PlanDraft) -> tuple[ImplicitElasticityPlan, PlanDraft]:

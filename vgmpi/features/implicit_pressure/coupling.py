@@ -57,7 +57,7 @@ class ImplicitPressure(ActiveFeature):
         self.separating_walls = kinds == "separate"
         self.response: BodyResponse | None = None
         deformable = [
-            solid for feature in self.features.values() for solid in feature.deformable_solids
+            system for feature in self.features.values() for system in feature.deformable_solids
         ]
         self.solids: SolidResponse | None = None
         if deformable:
@@ -221,7 +221,7 @@ class ImplicitPressure(ActiveFeature):
         )  # fmt: skip
         guess_scale = plan.real.type(span.dt * self.liquids.stiffness)
         has_solids = self.solids is not None
-        has_grains = self.solids is not None and any(self.solids.is_porous)
+        has_grains = self.solids is not None and bool(self.solids.sands)
         if self.solids is not None:
             self.solids.add_rough_answers(fields, level)
         solver.each(

@@ -4,35 +4,89 @@ Liquids flow through sands with drag; other solids keep them out.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from vgmpi.features.active_feature import DeformableSolid, FilledNodes, NodeState
+from vgmpi.features.active_feature import (
+    DeformableSolid,
+    DeformableSolids,
+    FilledNodes,
+    NodeState,
+)
 from vgmpi.parallel.block_lattice import BLOCK_EDGE
 from vgmpi.parallel.cell_exchange import CellExchange
 from vgmpi.runtime.aligned_arrays import aligned_zeros
 
 from .kernels import boundaries, pore_rows, solid_rows
-from .kernels.pore_rows import PoreRows, SandDrag
+from .kernels.pore_rows import SandDrag
 from .kernels.relaxation import LevelFields
 from .kernels.solid_rows import SolidBlocks, SolidRows
 from .pressure_system import NodeReactions
 
 
+@dataclass
+class SolidPhase:
+    """Phase of solids next to the cells with pressure of a rank.
+
+    Attributes:
+        part: The phase in its system.
+        system: The system.
+        number: Number of the system.
+        is_porous: Whether liquids flow through it.
+        rows: What it has of nodes and cells.
+        pores: PoreRows of what it leaves the liquids in its pores, or None.
+        cells: Blocks of the cells at its occupied blocks.
+        occupied_rows: Those of the last step.
+    """
+
+    part: DeformableSolid
+    system: DeformableSolids
+    number: int
+    is_porous: bool
+    rows: SolidRows
+    pores: Any = None
+    cells: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    occupied_rows: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+
+    @property
+    def phase(self) -> int:
+        """Return the number of the phase."""
+        return self.part.phase
+
+    @property
+    def blocks(self) -> SolidBlocks:
+        """Return its occupied blocks for kernels."""
+        system = self.system
+        return SolidBlocks(
+            self.part.occupied_rows, system.rows, system.block_of, system.is_attached, system.loose
+        )
+
+    @property
+    def occupied_blocks(self) -> np.ndarray:
+        """Return the blocks of the rank that it occupies."""
+        return self.system.block_of[self.part.occupied_rows]
+
+
 class SolidResponse:
     """Deformable solids of a run next to the cells with pressure of a rank."""
 
-    def __init__(self, solids: Sequence[DeformableSolid], mass_of_cell: float, plan: Any):
-        """Take the solids, the mass of a full cell [kg], and the plan."""
-        self.solids, self.mass_of_cell, self.plan = solids, mass_of_cell, plan
+    def __init__(self, systems: Sequence[DeformableSolids], mass_of_cell: float, plan: Any):
+        """Take systems of solids, the mass of a full cell [kg], and the plan."""
+        self.systems, self.mass_of_cell, self.plan = systems, mass_of_cell, plan
         drags = (feature.pore_drag for feature in plan.features)
         self.drag = next((each for each in drags if each is not None), None)
-        impermeable = [
-            each.phase for each, porous in zip(solids, self.is_porous, strict=True) if not porous
+        porous = np.zeros(len(plan.phases)) if self.drag is None else self.drag.grain_volumes
+        self.solids = [
+            SolidPhase(
+                part, system, k, bool(porous[part.phase]), solid_rows.solid_rows(0, plan.real)
+            )
+            for k, system in enumerate(systems)
+            for part in system.parts
         ]
+        impermeable = [solid.phase for solid in self.solids if not solid.is_porous]
         self.is_solid = np.isin(np.arange(len(plan.phases)), impermeable)
-        self.rows: list[SolidRows] = []
 
     def set_topology(self, lattice: Any, is_filled: np.ndarray) -> None:
         """Take new blocks after a sort.
@@ -43,44 +97,32 @@ class SolidResponse:
         """
         count, real = len(lattice.block), self.plan.real
         self.lattice = lattice
-        self.rows = [solid_rows.solid_rows(count, real) for _ in self.solids]
-        self.pores = [
-            pore_rows.pore_rows(
-                count, self.plan.real.type(self.mass_of_cell / solid.mass_of_cell), real
-            )
-            if porous
-            else None
-            for solid, porous in zip(self.solids, self.is_porous, strict=True)
-        ]
-        self.cells = [self._cells_at(each.block_of) for each in self.solids]
-        self.cells_with_solid = [np.zeros(0, np.int64) for _ in self.solids]
-        self.nodal_blocks = [np.zeros(0, np.int64) for _ in self.solids]
-        blocks = [each.block_of for each in self.solids]
+        for solid in self.solids:
+            solid.rows = solid_rows.solid_rows(count, real)
+            solid.cells = solid.occupied_rows = np.zeros(0, np.int64)
+            if solid.is_porous:
+                factor = real.type(self.mass_of_cell / solid.part.mass_of_cell)
+                solid.pores = pore_rows.pore_rows(count, factor, real)
+        self.cells = [self._cells_at(system.block_of) for system in self.systems]
+        blocks = [system.block_of for system in self.systems]
         self.blocks = np.unique(np.concatenate([np.flatnonzero(is_filled), *blocks]))
-        sizes = [192 * (len(each.rows) + 1) for each in self.solids]
+        sizes = [192 * (len(system.rows) + 1) for system in self.systems]
         self.impulses, self.totals = (
             [aligned_zeros(size, real) for size in sizes] for _ in range(2)
         )
-        self.rough: list[Any] = [None for _ in self.solids]  # answers of each node alone
+        self.rough: list[Any] = [None for _ in self.systems]  # answers of each node alone
         self.followed = np.zeros(64 * (count + 1), real)  # part of sands' motion, by drag
-
-    @property
-    def is_porous(self) -> list[bool]:
-        """Return whether liquids flow through each of the solids."""
-        volumes = None if self.drag is None else self.drag.grain_volumes
-        return [volumes is not None and bool(volumes[each.phase]) for each in self.solids]
 
     @property
     def sand_blocks(self) -> np.ndarray:
         """Return the blocks with nodes of such solids."""
-        blocks = [solid.block_of[solid.occupied_rows] for solid, _, _, _ in self.sands]
+        blocks = [solid.occupied_blocks for solid in self.sands]
         return np.unique(np.concatenate([np.zeros(0, np.int64), *blocks]))
 
     @property
-    def sands(self) -> list[tuple[DeformableSolid, SolidRows, PoreRows, int]]:
-        """Return the sands through which liquids flow, with their number among the solids."""
-        parts = zip(self.solids, self.rows, self.pores, range(len(self.rows)), strict=True)
-        return [(solid, rows, pores, k) for solid, rows, pores, k in parts if pores is not None]
+    def sands(self) -> list[SolidPhase]:
+        """Return the sands through which liquids flow."""
+        return [solid for solid in self.solids if solid.is_porous]
 
     def exchange_momentum(self, nodes: NodeState, liquids: Any, dt: float) -> None:
         """Let drag act between sands and the liquids in their pores. Collective.
@@ -90,30 +132,33 @@ class SolidResponse:
             liquids: LiquidRows.
             dt: Length of the step [s].
         """
-        drag, velocity, real, answers = self.drag, nodes.velocities, self.plan.real.type, []
+        drag, velocity, real = self.drag, nodes.velocities, self.plan.real
         if drag is None:
             return
         self.followed[:] = 0
-        for solid, _, pores, k in self.sands:
+        carried = [np.zeros(64 * (len(system.rows) + 1), real) for system in self.systems]
+        for solid in self.sands:
             own = SandDrag(
                 solid.phase, drag.coefficients[solid.phase], drag.grain_volumes,
-                float(drag.porosity[solid.phase]), solid.mass_of_cell, dt,
+                float(drag.porosity[solid.phase]), solid.part.mass_of_cell, dt,
             )  # fmt: skip
-            carried = np.zeros(64 * (len(solid.rows) + 1), self.plan.real)
-            pores.follows[:] = 0
+            solid.pores.follows[:] = 0
             nodes.call(
-                pore_rows.hold_stuck_nodes, blocks_of(solid), self.lattice, nodes.walls, velocity
+                pore_rows.hold_stuck_nodes, solid.blocks, self.lattice, nodes.walls, velocity
             )
             nodes.call(
-                pore_rows.find_drag, blocks_of(solid), liquids, own, velocity,
-                pores, self.followed, carried, self.impulses[k],
+                pore_rows.find_drag, solid.blocks, liquids, own, velocity, solid.pores,
+                self.followed, carried[solid.number], self.impulses[solid.number],
             )  # fmt: skip
-            self.rough[k] = solid.carry(carried)
-            answers.append(solid.answer(self.impulses[k]).copy())
+        answers = {}
+        for k in sorted({solid.number for solid in self.sands}):
+            self.rough[k] = self.systems[k].carry(carried[k])
+            answers[k] = self.systems[k].answer(self.impulses[k]).copy()
         nodes.call(pore_rows.release_liquids, self.sand_blocks, liquids, self.followed, velocity)
-        for (solid, _, pores, _), answer in zip(self.sands, answers, strict=True):
-            nodes.call(pore_rows.move_sand, blocks_of(solid), real(1), answer, velocity)
-            nodes.call(pore_rows.pull_liquids, blocks_of(solid), liquids, pores, velocity)
+        for solid in self.sands:
+            answer = answers[solid.number]
+            nodes.call(pore_rows.move_sand, solid.blocks, real.type(1), answer, velocity)
+            nodes.call(pore_rows.pull_liquids, solid.blocks, liquids, solid.pores, velocity)
 
     def fill_nodes(
         self, filled: Sequence[FilledNodes], system: Any, coordinates: np.ndarray, fields: Any
@@ -153,28 +198,29 @@ class SolidResponse:
             values[:] = 0
         self._find_blocks()
         volumes, per_volume = nodes.fields["impulses"].nodes, real(1.0 / self.plan.dx**3)
-        for solid, rows, porous in zip(self.solids, self.rows, self.is_porous, strict=True):
-            if porous and drag is not None:
+        for solid in self.solids:
+            rows = solid.rows
+            if solid.is_porous and drag is not None:
                 per_mass = real(drag.grain_volumes[solid.phase] * per_volume)
                 nodes.call(
-                    pore_rows.read_grains, blocks_of(solid), nodes.velocities, self.lattice,
+                    pore_rows.read_grains, solid.blocks, nodes.velocities, self.lattice,
                     nodes.walls, per_mass, rows, fields,
                 )  # fmt: skip
                 continue
             nodes.call(
-                solid_rows.read_parts, blocks_of(solid), volumes, self.lattice, nodes.walls,
+                solid_rows.read_parts, solid.blocks, volumes, self.lattice, nodes.walls,
                 per_volume, rows, fields,
             )  # fmt: skip
         fields.solid[:] += fields.pinned
 
     def _find_blocks(self) -> None:
         """Find the blocks with nodes at which impulses reach a solid, and the cells at these."""
-        for k, solid in enumerate(self.solids):
-            if np.array_equal(self.nodal_blocks[k], solid.occupied_rows):
+        for solid in self.solids:
+            if np.array_equal(solid.occupied_rows, solid.part.occupied_rows):
                 continue
-            self.nodal_blocks[k] = solid.occupied_rows
-            self.cells_with_solid[k] = self._cells_at(solid.block_of[solid.occupied_rows])
-            for values in self.rows[k]:
+            solid.occupied_rows = solid.part.occupied_rows
+            solid.cells = self._cells_at(solid.occupied_blocks)
+            for values in solid.rows:
                 values[:] = 0
 
     def _cells_at(self, blocks: np.ndarray) -> np.ndarray:
@@ -190,10 +236,10 @@ class SolidResponse:
         """
         nodes = self.nodes
         nodes.call(pore_rows.reduce_responses, self.sand_blocks, self.followed, level)
-        for solid, rows, pores, k in self.sands:
+        for solid in self.sands:
             nodes.call(
-                pore_rows.add_rough_answers, blocks_of(solid), self.lattice, nodes.walls,
-                self.rough[k], rows, pores, fields, level,
+                pore_rows.add_rough_answers, solid.blocks, self.lattice, nodes.walls,
+                self.rough[solid.number], solid.rows, solid.pores, fields, level,
             )  # fmt: skip
 
     def begin(self, fields: Any, level: LevelFields, exchange: CellExchange) -> None:
@@ -207,21 +253,20 @@ class SolidResponse:
         nodes, lattice = self.nodes, self.lattice
         real = self.plan.real.type
         per_length = real(1.0 / self.plan.dx)
-        parts = zip(self.solids, self.rows, self.cells_with_solid, self.pores, strict=True)
-        for solid, rows, cells, pores in parts:
+        for solid in self.solids:
+            rows, pores = solid.rows, solid.pores
             scale = fields.solid_scale if pores is None else fields.grain_scale
-            nodes.call(solid_rows.scale_parts, blocks_of(solid), scale, rows)
+            nodes.call(solid_rows.scale_parts, solid.blocks, scale, rows)
             if pores is None:  # it feels no pressure on its own volume, as grains do
-                nodes.call(solid_rows.set_means, cells, lattice, rows)
+                nodes.call(solid_rows.set_means, solid.cells, lattice, rows)
                 exchange.exchange(rows.mean)
+            nodes.call(solid_rows.read_velocities, solid.blocks, nodes.velocities, per_length, rows)
             nodes.call(
-                solid_rows.read_velocities, blocks_of(solid), nodes.velocities, per_length, rows,
+                solid_rows.add_divergence, solid.cells, lattice, real(-1), rows, level,
+                level.residual,
             )  # fmt: skip
-            nodes.call(
-                solid_rows.add_divergence, cells, lattice, real(-1), rows, level, level.residual
-            )
             if pores is not None:
-                nodes.call(pore_rows.set_pushes, blocks_of(solid), rows, pores, fields)
+                nodes.call(pore_rows.set_pushes, solid.blocks, rows, pores, fields)
         self.level = level
 
     def add_product(self, potential: np.ndarray, product: np.ndarray) -> None:
@@ -232,25 +277,27 @@ class SolidResponse:
             product: Numbers of cells, flat (in/out).
         """
         nodes, lattice, real = self.nodes, self.lattice, self.plan.real.type
-        self.answers = []
-        parts = zip(
-            self.solids, self.rows, self.cells_with_solid, self.impulses, self.pores, strict=True
-        )
-        for solid, rows, cells, impulses, pores in parts:
+        for solid in self.solids:
+            rows = solid.rows
             np.multiply(rows.mean, potential, out=rows.weighted)
-            factor = real(self.mass_of_cell / solid.mass_of_cell)
+            factor = real(self.mass_of_cell / solid.part.mass_of_cell)
             nodes.call(
-                solid_rows.set_tractions, blocks_of(solid), lattice, factor, potential, rows,
-                impulses,
+                solid_rows.set_tractions, solid.blocks, lattice, factor, potential, rows,
+                self.impulses[solid.number],
             )  # fmt: skip
-            answer = solid.answer(impulses)
-            self.answers.append(answer)
+        self.answers = [
+            system.answer(impulses)
+            for system, impulses in zip(self.systems, self.impulses, strict=True)
+        ]
+        for solid in self.solids:
+            impulses, answer = self.impulses[solid.number], self.answers[solid.number]
+            rows, pores = solid.rows, solid.pores
             if pores is None:
-                nodes.call(solid_rows.store_answer, blocks_of(solid), answer, rows)
+                nodes.call(solid_rows.store_answer, solid.blocks, answer, rows)
             else:
-                nodes.call(pore_rows.store_answer, blocks_of(solid), answer, impulses, rows, pores)
+                nodes.call(pore_rows.store_answer, solid.blocks, answer, impulses, rows, pores)
             nodes.call(
-                solid_rows.add_divergence, cells, lattice, real(1), rows, self.level, product
+                solid_rows.add_divergence, solid.cells, lattice, real(1), rows, self.level, product
             )
 
     def begin_totals(self) -> None:
@@ -272,8 +319,8 @@ class SolidResponse:
             is_before: Whether u is to change, else the responses are what they were.
         """
         change = pore_rows.subtract_rough_answers if is_before else pore_rows.restore_rough_answers
-        for solid, rows, pores, _ in self.sands:
-            self.nodes.call(change, blocks_of(solid), rows, pores, fields, level)
+        for solid in self.sands:
+            self.nodes.call(change, solid.blocks, solid.rows, solid.pores, fields, level)
 
     def add_velocities(self, liquids: Any, velocity: np.ndarray) -> None:
         """Add the sums of the answers to the velocities of the nodes, and liquids follow sands.
@@ -283,13 +330,12 @@ class SolidResponse:
             velocity: Velocity [m/s] and mass [kg], shape (node blocks, 256) (in/out).
         """
         dx = self.plan.real.type(self.plan.dx)
-        for solid, total, pores in zip(self.solids, self.totals, self.pores, strict=True):
-            self.nodes.call(
-                solid_rows.add_velocities, blocks_of(solid), solid.uptake, dx, total, velocity
-            )
-            if pores is not None:
+        for solid in self.solids:
+            total, uptake = self.totals[solid.number], solid.system.uptake
+            self.nodes.call(solid_rows.add_velocities, solid.blocks, uptake, dx, total, velocity)
+            if solid.pores is not None:
                 self.nodes.call(
-                    pore_rows.push_liquids, blocks_of(solid), liquids, pores, dx, total, velocity
+                    pore_rows.push_liquids, solid.blocks, liquids, solid.pores, dx, total, velocity
                 )
 
     def rub_at_walls(
@@ -304,8 +350,8 @@ class SolidResponse:
             reaction: Reaction sums (in/out), or None.
         """
         nodes, unit = self.nodes, self.mass_of_cell * self.plan.dx
-        for solid, _, _, _ in self.sands:
-            blocks = blocks_of(solid)
+        for solid in self.sands:
+            blocks = solid.blocks
             on_wall = np.isin(blocks.block_of[blocks.occupied], separating)
             blocks = blocks._replace(occupied=blocks.occupied[on_wall])
             nodes.call(
@@ -326,13 +372,6 @@ class SolidResponse:
             solid_rows.stop_at_solids, self.blocks, self.lattice, nodes.walls, self.is_solid,
             liquids, fields, nodes.velocities, reactions,
         )  # fmt: skip
-
-
-def blocks_of(solid: DeformableSolid) -> SolidBlocks:
-    """Return the blocks of a solid for kernels."""
-    return SolidBlocks(
-        solid.occupied_rows, solid.rows, solid.block_of, solid.is_attached, solid.loose
-    )
 
 
 def select_nodes(

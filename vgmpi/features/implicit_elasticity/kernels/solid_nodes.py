@@ -412,12 +412,12 @@ def set_relative_response(rows, ties, trace, fields):
     Args:
         rows: Blocks to process, shape (n,): those of the ties.
         ties: Ties of light nodes to those that they follow.
-        trace: See kernels/grid/cell_stiffness.py.
+        trace: See kernels/grid/cell_stiffness.py, of each block, shape (n,).
         fields: SolidFields (relative_response in/out).
     """
     real = fields.fill.dtype.type
-    diagonal = (real(4) - trace) / real(9)  # of a cell
     for n in ties.nodes:
+        diagonal = (real(4) - trace[n // 64]) / real(9)  # of a cell
         first, total = PATCH * (n // 64) + _place(n % 64), real(0)
         for o in range(8):
             total += fields.cells[first - o % 2 - EDGE * (o // 2 % 2) - EDGE * EDGE * (o // 4)]

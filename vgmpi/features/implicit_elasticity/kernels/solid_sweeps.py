@@ -39,7 +39,7 @@ def find_remainder(rows, neighbors, trace, impulses, fields, w, remainder):
     Args:
         rows: Blocks to process, shape (n,).
         neighbors: Rows of the 27 blocks around each, flat.
-        trace: See kernels/grid/cell_stiffness.py.
+        trace: See kernels/grid/cell_stiffness.py, of each block, shape (n,).
         impulses: Impulses, flat.
         fields: SolidFields.
         w: Changes of velocity, flat.
@@ -48,7 +48,7 @@ def find_remainder(rows, neighbors, trace, impulses, fields, w, remainder):
     scratch = stiffness_scratch(w.dtype)
     own, loose, out = pointer(impulses), pointer(fields.loose), pointer(remainder)
     for b in rows:
-        multiply_block(w, neighbors, b, fields.cells, trace, scratch)
+        multiply_block(w, neighbors, b, fields.cells, trace[b], scratch)
         product = pointer(scratch.product)
         for q in range(0, 192, 16):
             n = 192 * b + q
@@ -137,7 +137,7 @@ def add_change(rows, weight, ties, pushes, fields, change, w):
 
 @kernel
 def sweep(rows, neighbors, trace, weights, ties, impulses, fields, work):
-    """Make sweeps from no change over a solid whose nodes no other thread or rank computes.
+    """Make sweeps from no change over solids whose nodes no other thread or rank computes.
 
     Args:
         rows: Blocks to process, shape (n,).
