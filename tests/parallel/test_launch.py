@@ -2,6 +2,8 @@
 
 import os
 import re
+import subprocess
+import sys
 
 import pytest
 
@@ -100,3 +102,22 @@ def test_the_launcher_is_an_ancestor(tmp_path):
     assert find_launcher(tmp_path) is None
     process(7_000_001, "mpirun", 1)
     assert find_launcher(tmp_path) == 7_000_001
+
+
+@pytest.mark.parametrize("given, expected", [(None, "1"), ("0", "0")])
+def test_ranks_that_wait_leave_their_core_unless_the_user_says_otherwise(given, expected):
+    name = "OMPI_MCA_mpi_yield_when_idle"
+    environment = {key: value for key, value in os.environ.items() if key != name}
+    if given is not None:
+        environment[name] = given
+    code = f"""
+import os, sys
+from vgmpi.parallel.communicator import init_communicator
+assert "mpi4py.MPI" not in sys.modules  # Open MPI reads it when it starts
+init_communicator()
+print(os.environ[{name!r}])
+"""
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == [expected]
