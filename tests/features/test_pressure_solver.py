@@ -159,7 +159,8 @@ def test_colliders_share_nodes_as_in_numpy(tmp_path, monkeypatch):
 
     def record_system(self, phi):
         fields = (self.level.inverse, 2, 3), (self.level.residual, 1), (self.level.scale, 1)
-        steps[-1] += [dense_values(self, *field).copy() for field in fields]
+        if len(steps[-1]) == 4:  # later ones of a step have open cells
+            steps[-1] += [dense_values(self, *field).copy() for field in fields]
         solve(self, phi)
 
     monkeypatch.setattr(ImplicitPressure, "couple_nodes", record)

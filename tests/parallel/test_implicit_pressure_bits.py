@@ -410,8 +410,61 @@ sampling_rate = "100 Hz"
 """
 
 
+# a plate that is lifted off a pool, a plank that leaves it, and water that lets go of a roof, in
+# thin air: cells open beside all of them and within the water
+SUCTION = """
+[domain]
+size = [0.48, 0.16, 0.40]
+cell = 0.02
+ambient_pressure = 400
+[time]
+end = 0.12
+frames = 3
+[accuracy]
+pressure = "implicit"
+[material.water]
+kind = "fluid"
+max_speed = 2
+[material.wood]
+kind = "elastic"
+density = 600
+youngs_modulus = "1 MPa"
+[[object]]
+name = "pool"
+material = "water"
+subtract = true
+shape = { box = [[0, 0, 0], [0.48, 0.16, 0.16]] }
+[[object]]
+name = "below the roof"
+material = "water"
+shape = { box = [[0.02, 0, 0.24], [0.22, 0.16, 0.34]] }
+[[object]]
+name = "roof"
+role = "scenery"
+collider = true
+shape = { box = [[-0.1, -0.1, 0.34], [0.6, 0.3, 0.5]] }
+[[object]]
+name = "plate"
+role = "scenery"
+collider = true
+shape = { box = [[0.06, 0.02, 0.13], [0.2, 0.12, 0.19]] }
+motion = { keyframes = [{ time = "20 ms" }, { time = "120 ms", translation = [0, 0, 0.08] }] }
+[[object]]
+name = "plank"
+material = "wood"
+rigid = true
+velocity = [0, 0, 1.5]
+shape = { box = [[0.28, 0.03, 0.11], [0.44, 0.13, 0.17]] }
+[[probe]]
+name = "lift"
+collider = "plate"
+sampling_rate = "100 Hz"
+"""
+
+
 # by name: the scene, and the step after which it stops and goes on
 SCENES = {
+    "suction": (SUCTION, 9),
     "several liquids": (LIQUIDS, 9),
     "adhesion": (ADHESION, 11),
     "adhesion with implicit viscosity": (STUCK, 11),
@@ -489,3 +542,14 @@ def test_few_blocks_are_swept_by_one_thread_with_the_same_bits(tmp_path, monkeyp
     assert seen == rows
     for quantity in ("x", "v"):
         assert np.array_equal(*(by_id(run, quantity)[0] for run in (alone, both)))
+
+
+@pytest.mark.parametrize("key", ["ambient_pressure = 400", ""])
+def test_cells_open_in_the_scene_with_suction(tmp_path, key):
+    """Beside what is lifted, and, if the key says so, elsewhere."""
+    simulation, _ = begin(tmp_path, SUCTION.replace("ambient_pressure = 400", key))
+    suction, opened = simulation.features["implicit_pressure"].suction, 0
+    while simulation.time < 0.08:
+        simulation.advance(simulation.bound())
+        opened += suction.is_open.any()
+    assert opened >= 4

@@ -100,6 +100,10 @@ class BodyResponse:
         self.mobility = self.mass_of_cell * scale[:, None] * bodies.mobility() * scale
         own = v * np.array([1.0 / self.dx] * 3 + [1.0] * 3)
         body_rows.subtract_divergence(self.count, self.rows, own, self.level)
+        self.take_cells()
+
+    def take_cells(self) -> None:
+        """Take the cells with pressure, for the sweeps. Collective."""
         n = len(self.mobility)
         sums = np.zeros((n, n, 2), np.int64)
         body_rows.sum_matrix(self.count, self.rows, self.level, 1.0 / MATRIX_UNIT, sums)

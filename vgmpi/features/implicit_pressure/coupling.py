@@ -31,6 +31,7 @@ from .plan import DISPLACEMENT
 from .pressure_solver import PressureSolver
 from .pressure_system import INWARD_STEPS, ColliderNodes, NodeReactions, pressure_fields
 from .solid_response import SolidResponse, select_nodes
+from .suction_limit import SuctionLimit
 
 
 class SharedBlocks(NamedTuple):
@@ -46,15 +47,13 @@ class ImplicitPressure(ActiveFeature):
 
     couples_nodes = True
 
-    def __init__(self, context: StartContext, solver: PressureSolver):
-        """Take the constants of a plan and its solver."""
+    def __init__(self, context: StartContext, solver: PressureSolver, suction: SuctionLimit | None):
+        """Take the constants of a plan, its solver, and the suction that liquids bear, or None."""
         plan = self.plan = context.plan
         self.lattice, self.ranks = context.lattice, context.ranks
         self.liquids = Liquids(plan)
-        self.solver, self.colliders = solver, context.collider_nodes
+        self.solver, self.colliders, self.suction = solver, context.collider_nodes, suction
         self.features = context.features
-        kinds = np.array([kind for kind, _ in plan.walls.liquids]).reshape(3, 2)
-        self.separating_walls = kinds == "separate"
         self.response: BodyResponse | None = None
         deformable = [
             system for feature in self.features.values() for system in feature.deformable_solids
@@ -64,6 +63,12 @@ class ImplicitPressure(ActiveFeature):
             self.solids = SolidResponse(deformable, self.liquids.mass_of_cell, plan)
             solver.solids = self.solids
         self.node_exchange: CellExchange | None = None  # of nodes around, where colliders are
+
+    @property
+    def separating_walls(self) -> np.ndarray:
+        """Return whether walls across each axis let liquids go, shape (3, 2)."""
+        kinds = np.array([kind for kind, _ in self.plan.walls.liquids]).reshape(3, 2)
+        return kinds == "separate"
 
     def set_topology(self, tables: ExchangeTopology, census: BlockDirectory) -> None:
         """Take new tables after a sort.
@@ -87,6 +92,8 @@ class ImplicitPressure(ActiveFeature):
         self.fields = pressure_fields(self.solver.count, real)
         self.fields.region[: 64 * self.solver.count] = cells.region.reshape(-1)
         self.liquids.set_topology(tables)
+        if self.suction is not None:
+            self.suction.set_topology(self.solver)
         is_filled = np.zeros(self.solver.count, bool)
         if self.solids is not None:
             filled = [nodes for each in self.features.values() for nodes in each.filled_nodes]
@@ -142,7 +149,14 @@ class ImplicitPressure(ActiveFeature):
             self.solids.begin(fields, level, solver.exchange)
         if bodies is not None:
             solver.bodies = self._begin_response(nodes, colliders, bodies, dt, gravity)
+        if self.suction is not None:
+            self.suction.begin()
         solver.solve(fields.phi)
+        if self.suction is not None:
+            per_pressure = dt * plan.dx / self.liquids.mass_of_cell
+            self.suction.open_cells(
+                nodes, self.shared.cells, colliders, fields, per_pressure, dt
+            )  # fmt: skip
         solver.respond(fields.phi)
         if bodies is not None and solver.bodies is not None:
             bodies.add_impulses(solver.bodies.find_impulses(fields.phi))
@@ -259,6 +273,8 @@ class ImplicitPressure(ActiveFeature):
         """
         fields, solver, count = self.fields, self.solver, 64 * self.solver.count
         fields.cover[:count] = fields.filled[:count] + self.outside + fields.covered[:count]
+        if self.suction is not None:  # what opens is not filled
+            fields.cover[self.suction.is_open > 0] = 0
         solver.each(cells, pressure_system.set_excess, solver.lattice, fields, solver.level)
         solver.find_moves()
         moves = nodes.gathered[DISPLACEMENT]

@@ -3,12 +3,12 @@
 Only the motion bounds the step. See docs/explanation/implicit-pressure.md.
 """
 
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import model_validator
 
 from vgmpi.materials.material import field_error
-from vgmpi.runtime.config.schema import StrictModel
+from vgmpi.runtime.config.schema import Quantity, StrictModel
 from vgmpi.scene.scene_feature import SceneFeature
 
 
@@ -36,11 +36,20 @@ class AccuracyKeys(StrictModel):
         return self
 
 
+class DomainKeys(StrictModel):
+    """Keys that the implicit pressure adds to [domain]."""
+
+    ambient_pressure: Annotated[float, Quantity("Pa", ge=0)] | None = None
+    """pressure of the air, above that of a vacuum, with an implicit pressure: a liquid bears that
+    much suction, anywhere, and then opens; air at sea level has 101325. Default: a liquid bears
+    any suction, but for none on colliders and free bodies without slip_length"""
+
+
 class ImplicitPressure(SceneFeature):
     """Implicit pressure in the tables of a scene."""
 
     name, title = "implicit_pressure", "implicit pressure"
-    section_keys = {"accuracy": AccuracyKeys}
+    section_keys = {"accuracy": AccuracyKeys, "domain": DomainKeys}
     missing_engines = ("cuda", "numpy")
 
     def removes_wave_bound(self, scene: Any) -> bool:
@@ -64,6 +73,9 @@ class ImplicitPressure(SceneFeature):
             draft, prepared: See `SceneFeature.plan`.
         """
         if not self.removes_wave_bound(draft.scene):
+            if draft.scene.domain.ambient_pressure is not None:
+                message = "needs accuracy.pressure = 'implicit'; else see material.*.tension"
+                raise draft.scene.error([(("domain", "ambient_pressure"), message)])
             return None, draft
         from .plan import plan_implicit_pressure
 

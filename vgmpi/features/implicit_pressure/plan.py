@@ -25,13 +25,20 @@ MIN_VISCOUS_RATIO = 4.0  # of the viscous bound of the step to that by waves, fo
 
 
 class ImplicitPressurePlan(FeaturePlan):
-    """Implicit pressure of a run."""
+    """Implicit pressure of a run.
+
+    Attributes:
+        ambient_pressure: Suction that liquids bear everywhere [Pa], None for any.
+    """
 
     name, title = "implicit_pressure", "implicit pressure"
     gathered = (DISPLACEMENT,)
 
-    def __init__(self, groups: Sequence[GroupPlan], phases: int):
-        """Take the groups whose pressure the grid finds, and the number of phases."""
+    def __init__(
+        self, groups: Sequence[GroupPlan], phases: int, ambient_pressure: float | None = None
+    ):  # fmt: skip
+        """Take the groups whose pressure the grid finds, the number of phases, and the suction."""
+        self.ambient_pressure = ambient_pressure
         if phases > 1:
             is_liquid = np.isin(np.arange(phases), [group.phase for group in groups])
             self.pair_rules = np.where(is_liquid[:, None] | is_liquid, PRESSURE, CONTACT)
@@ -84,6 +91,7 @@ class ImplicitPressurePlan(FeaturePlan):
         """
         from .coupling import ImplicitPressure  # they compile
         from .pressure_solver import PressureSolver, SystemDomain
+        from .suction_limit import limit_suction
 
         plan = context.plan
         is_closed = [kind != "open" for kind, _ in plan.walls.liquids]
@@ -93,7 +101,8 @@ class ImplicitPressurePlan(FeaturePlan):
         solver = PressureSolver(
             context.ranks, SystemDomain(plan.cells, closed, contrast), plan.real
         )
-        return ImplicitPressure(context, solver)
+        suction = limit_suction(self.ambient_pressure, plan, len(context.colliders))
+        return ImplicitPressure(context, solver, suction)
 
 
 def plan_implicit_pressure(draft: PlanDraft) -> tuple[ImplicitPressurePlan, PlanDraft]:
@@ -123,7 +132,8 @@ def plan_implicit_pressure(draft: PlanDraft) -> tuple[ImplicitPressurePlan, Plan
         for group in draft.groups
     )
     liquids = [group for group in groups if group.is_liquid]
-    plan = ImplicitPressurePlan(liquids, len(draft.phases))
+    ambient_pressure = draft.scene.domain.ambient_pressure
+    plan = ImplicitPressurePlan(liquids, len(draft.phases), ambient_pressure)
     return plan, draft._replace(groups=groups)
 
 

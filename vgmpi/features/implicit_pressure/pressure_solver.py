@@ -258,6 +258,26 @@ class PressureSolver:
         if self.solids is not None:
             self.solids.add_product(potential, product)
 
+    def subtract_product(self, potential: np.ndarray, values: np.ndarray) -> None:
+        """Subtract the product of the system and a potential from numbers of cells. Collective."""
+        self.product[:] = 0
+        if self.bodies is not None:
+            self.bodies.find_magnitude(potential)
+        self._multiply(potential, self.product)
+        values -= self.product
+
+    def is_closed(self, filled: np.ndarray) -> bool:
+        """Return whether a constant potential moves nothing: no liquid borders air. Collective.
+
+        Args:
+            filled: Above 0 in cells with pressure, known around the cells of this rank.
+        """
+        self.direction[:] = filled > 0
+        self.product[:] = 0
+        self.respond(self.direction)
+        self.each(self.cells, relaxation.multiply, self.lattice, self.product, self.level)
+        return not self.ranks.max(np.array([np.abs(self.product).max()]))[0] > 0
+
     def solve(self, phi: np.ndarray) -> None:
         """Bring phi nearer to the solution. Collective.
 
@@ -268,14 +288,10 @@ class PressureSolver:
         residual, direction, product = (
             values[:count] for values in (level.residual, self.direction, self.product)
         )
-        direction[:] = 0
-        product[:] = 0
-        if self.bodies is not None:
-            self.bodies.find_magnitude(phi)
-        self._multiply(phi, self.product)
+        self.subtract_product(phi, level.residual)
         if self.solids is not None:
             self.solids.begin_totals()
-        residual -= product
+        direction[:] = 0
         magnitude = self._prepare_levels(residual)
         if self.bodies is not None:
             self.bodies.take_magnitude(magnitude)

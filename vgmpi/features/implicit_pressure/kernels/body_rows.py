@@ -235,6 +235,8 @@ def correct_remainder(count, rows, v, per_quantum, level):
     """
     real = level.remainder.dtype.type
     for n in range(count):
+        if not level.scale[rows.cell[n]] > 0:
+            continue
         quanta = np.rint(_divergence(rows, n, v) * float(per_quantum))
         level.remainder[rows.cell[n]] -= real(quanta * rows.counts[n])
 
