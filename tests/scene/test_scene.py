@@ -12,7 +12,7 @@ from vgmpi.runtime.config.schema import SceneError
 from vgmpi.scene import markdown_reference
 from vgmpi.scene.loader import load
 from vgmpi.scene.scene import phase_of
-from vgmpi.scene.scene_feature import object_table
+from vgmpi.scene.scene_feature import object_table, section_tables
 from vgmpi.scene.sections import Domain
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -107,11 +107,8 @@ def test_resolved_is_json_and_makes_the_same_scene(small, tmp_path):
     resolved = json.loads(json.dumps(scene.to_json()))
     assert resolved["domain"]["cell"] == 0.01 and resolved["output"]["checkpoint_interval"] == 600.0
     assert [object_table().model_validate(item) for item in resolved["object"]] == [*scene.object]
-    assert Domain.model_validate({**resolved["domain"], "boundary": "slip"}).size == (
-        0.64,
-        0.32,
-        0.32,
-    )
+    domain = section_tables()["domain"].model_validate({**resolved["domain"], "boundary": "slip"})
+    assert domain.size == (0.64, 0.32, 0.32)
 
 
 def test_files_below_the_scene_outside_and_from_the_command_line(small, tmp_path, monkeypatch):
