@@ -5,13 +5,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from vgmpi.materials.couplings.interaction import DRAG
 from vgmpi.materials.material import law_function
 from vgmpi.parallel.exchange_topology import StressProximity
 from vgmpi.planning.feature_plan import FeaturePlan, PlanDraft
 from vgmpi.planning.phases_and_groups import GroupPlan
 from vgmpi.planning.step_costs import StageCost, StepCosts
 
-SWEEP_COST = StageCost(grid=0.5)  # per particle, relative to the step of a fluid's
+# per particle of a solid, relative to the step of a fluid's: of the stress alone, within the
+# pressure of liquids, and with liquid in its pores (splash, faucet, water_on_snow, castle_flood)
+SWEEP_COST, SWEEP_COST_IN_LIQUID, SWEEP_COST_OF_PORES = (
+    StageCost(grid=cost) for cost in (0.5, 8.0, 30.0)
+)
 
 
 class ElasticPhase(NamedTuple):
@@ -44,11 +49,11 @@ class ImplicitElasticityPlan(FeaturePlan):
 
     def __init__(
         self, solids: tuple[ElasticPhase, ...], phases: int, bounds: list[tuple[float, str]],
-        has_pressure: bool,
+        has_pressure: bool, porous: frozenset[str],
     ):  # fmt: skip
         """Take what `plan_implicit_elasticity` finds; `phases` is their number."""
         self.solids, self.count, self.step_bounds = solids, phases, bounds
-        self.has_pressure = has_pressure
+        self.has_pressure, self.porous = has_pressure, porous
         self.min_rate = max((1.0 / step for step, _ in bounds), default=0.0)
 
     def particle_cost(self, group: GroupPlan, costs: StepCosts) -> StageCost | None:
@@ -59,7 +64,10 @@ class ImplicitElasticityPlan(FeaturePlan):
         """
         if not group.wave.on_grid:
             return None
-        return costs.separate_stress + SWEEP_COST
+        if not self.has_pressure:
+            return costs.separate_stress + SWEEP_COST
+        is_porous = group.material in self.porous
+        return costs.separate_stress + (SWEEP_COST_OF_PORES if is_porous else SWEEP_COST_IN_LIQUID)
 
     def stress_proximity(self) -> StressProximity:
         """Return that solids sum their stress impulses separately wherever they are."""
@@ -133,5 +141,6 @@ def plan_implicit_elasticity(draft: PlanDraft) -> tuple[ImplicitElasticityPlan, 
         len(draft.phases),
         [(step, cause) for cause, step in waves.items()],
         scene.accuracy.pressure == "implicit",
+        frozenset(name for each in scene.coupling if each.rule == DRAG for name in each.between),
     )
     return plan, draft._replace(groups=tuple(groups))

@@ -18,7 +18,8 @@ from vgmpi.scene.scene_feature import features
 MAX_CONTRAST = 10_000.0  # [-] of densities; beyond it runs were seen to blow up
 MAX_FREE_BODIES = 64  # the work of a step grows with the cube of their number
 HELD_BODIES = "bodies of particles that are held or moved, and colliders with friction"
-COST = StageCost(0.1, 1.2, 0.2)  # per particle, relative to the step of a fluid's
+COST = StageCost(0.1, 2.2, 0.2)  # per particle, relative to the step of a fluid's
+STEP_SECONDS = 0.006  # [s] of a step besides, for coarse grids and calls (driftwood, two_liquids)
 PARTICLE_PRESSURE, LIQUID_VOLUME = "particle pressure", "liquid volume"  # nodal fields
 DISPLACEMENT = "displacement"  # nodal displacement [cells] and relative pressure, for particles
 MIN_VISCOUS_RATIO = 4.0  # of the viscous bound of the step to that by waves, for the advice
@@ -32,7 +33,7 @@ class ImplicitPressurePlan(FeaturePlan):
     """
 
     name, title = "implicit_pressure", "implicit pressure"
-    gathered = (DISPLACEMENT,)
+    gathered, step_seconds = (DISPLACEMENT,), STEP_SECONDS
 
     def __init__(
         self, groups: Sequence[GroupPlan], phases: int, ambient_pressure: float | None = None
