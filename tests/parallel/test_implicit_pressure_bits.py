@@ -462,6 +462,34 @@ sampling_rate = "100 Hz"
 """
 
 
+# snow that ends in blocks of which the water on another rank has nodes, without a row of the snow
+APART = """
+[domain]
+size = [0.8, 0.24, 0.4]
+cell = 0.04
+[time]
+end = 0.1
+frames = 2
+[accuracy]
+pressure = "implicit"
+[material.water]
+kind = "fluid"
+max_speed = 2.5
+[material.snow]
+kind = "snow"
+density = 400
+youngs_modulus = "60 kPa"
+[[object]]
+name = "water"
+material = "water"
+shape = { box = [[0, 0, 0], [0.26, 0.24, 0.26]] }
+[[object]]
+name = "wall"
+material = "snow"
+shape = { box = [[0.48, 0.02, 0], [0.58, 0.22, 0.14]] }
+"""
+
+
 # by name: the scene, and the step after which it stops and goes on
 SCENES = {
     "suction": (SUCTION, 9),
@@ -473,6 +501,7 @@ SCENES = {
     "deformable solids": (SOLIDS, 11),
     "pinned parts": (PINNED, 11),
     "sand with drag": (SEEPAGE, 11),
+    "snow apart from water": (APART, 9),
 }
 
 

@@ -129,7 +129,8 @@ def _response_of_row(r, b, q, fill, liquids, velocity):
     own_mass = mass_of_row(r, q, own, liquids, velocity)
     if not own_mass > 0:
         return fill - fill
-    response = own / (fill * own_mass)
+    # of a liquid alone as where no other phase has a row: which rows there are depends on the rank
+    response = fill / fill / own_mass if own == fill else own / (fill * own_mass)
     group, group_mass = _sums_of_mixture(r, b, q, liquids, velocity)
     if group > own:  # it mixes with others
         mean = group / (fill * group_mass)
