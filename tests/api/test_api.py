@@ -21,6 +21,7 @@ EXAMPLE, CONTROL, NOTEBOOK, SERIES, SWEEP = re.findall(r"```python\n(.*?)```", P
 
 SCENE = """
 [accuracy]
+pressure = "explicit"
 precision = "double"
 [domain]
 size = [0.24, 0.24, 0.24]
@@ -130,7 +131,7 @@ def test_overrides():
     assert scene.domain.cell == 0.04 and scene.domain.gravity == (0, -1, 0.5)
     assert scene.time.frames == 7
     assert vgmpi.load("a.toml", ["domain.cell=1 cm"], text=SCENE).domain.cell == 0.01
-    with pytest.raises(vgmpi.SceneError, match="^a.toml:6: domain.cell: must be"):
+    with pytest.raises(vgmpi.SceneError, match="^a.toml:7: domain.cell: must be"):
         vgmpi.load("a.toml", text=SCENE.replace("cell = 0.02", "cell = 0"))
 
 

@@ -11,6 +11,7 @@ from vgmpi.solver import run as runs
 
 SCENE = """
 [accuracy]
+pressure = "explicit"
 precision = "double"
 [domain]
 size = [0.24, 0.24, 0.24]

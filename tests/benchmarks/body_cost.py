@@ -21,6 +21,8 @@ CELL, PER_CELL = 0.01, 8  # [m], particles per cell
 EDGE, GAP = 5, 12  # [cells] from a body to the next, and from the water to the first
 RADIUS = 8  # cells of the ball in water
 WATER = """
+[accuracy]
+pressure = "explicit"
 [domain]
 size = [{side!r}, {side!r}, {high!r}]
 cell = {cell!r}

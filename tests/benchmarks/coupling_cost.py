@@ -22,6 +22,7 @@ cell = 0.01
 [time]
 end = 1
 [accuracy]
+pressure = "explicit"
 transfer = "{transfer}"
 precision = "{precision}"
 volume_correction = "{volume}"

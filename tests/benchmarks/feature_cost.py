@@ -20,6 +20,7 @@ cell = 0.01
 [time]
 end = 1
 [accuracy]
+pressure = "explicit"
 transfer = "apic"
 precision = "{precision}"
 [material.water]

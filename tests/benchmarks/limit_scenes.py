@@ -68,7 +68,7 @@ def scene(
     """The text of a scene. rest: objects and couplings."""
     named = "".join(f"[material.{name}]\n{toml(keys)}\n" for name, keys in materials.items())
     return (
-        '[accuracy]\nprecision = "double"\n'
+        '[accuracy]\npressure = "explicit"\nprecision = "double"\n'
         f"[domain]\nsize = {json.dumps(list(size))}\ncell = {DX}\ngravity = [0, 0, {-gravity}]\n"
         f"boundary = {{ default = {walls} }}\n"
         f"[time]\nend = {end}\nframes = 2\ndt = {dt}\n{named}{''.join(rest)}"

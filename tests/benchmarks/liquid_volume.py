@@ -25,6 +25,7 @@ cell = {cell!r}
 [time]
 end = 1000
 [accuracy]
+pressure = "explicit"
 precision = "single"
 volume_correction = "{correction}"
 [material.water]

@@ -29,6 +29,8 @@ from vgmpi.parallel.communicator import SerialCommunicator
 PACE = re.compile(r"steps of .* in ([\d.]+) s on")
 SCENE = """
 title = "A pool"
+[accuracy]
+pressure = "explicit"
 [domain]
 size = ["48 cm", "24 cm", "24 cm"]
 cell = "1 cm"

@@ -23,6 +23,7 @@ boundary = "slip"
 [time]
 end = 10
 [accuracy]
+pressure = "explicit"
 transfer = "apic"
 precision = "{precision}"
 [material.water]

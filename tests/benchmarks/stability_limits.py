@@ -79,7 +79,8 @@ class Case:
         return (
             f"[domain]\nsize = {size}\ncell = {DX}\ngravity = [0, 0, -1]\n"
             f"[time]\nend = 1\ncfl = {self.cfl}\n"
-            f'[accuracy]\ntransfer = "{self.transfer}"\nprecision = "{self.precision}"\n'
+            f'[accuracy]\npressure = "explicit"\ntransfer = "{self.transfer}"\n'
+            f'precision = "{self.precision}"\n'
             f"{named}{bodies}"
         )
 

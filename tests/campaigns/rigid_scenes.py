@@ -21,6 +21,8 @@ SMALL = 200
 
 # a slider, a ball and a fixed joint, two bodies that touch a collider, and probes of all
 WORKSHOP = """
+[accuracy]
+pressure = "explicit"
 [domain]
 size = ["40 cm", "40 cm", "40 cm"]
 cell = "2 cm"

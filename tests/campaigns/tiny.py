@@ -21,6 +21,7 @@ from vgmpi.solver import run as runs
 FRAMES, EVERY = 9, 10  # steps between checkpoints, of about 110
 SCENE = f"""
 [accuracy]
+pressure = "explicit"
 precision = "double"
 [domain]
 size = [0.24, 0.16, 0.16]

@@ -11,6 +11,7 @@ pytest.importorskip("numba_cuda", reason="the extra `cuda` is not installed")
 card = pytest.importorskip("vgmpi.solver.engines.cuda.graphics_card")
 SCENE = """
 [accuracy]
+pressure = "explicit"
 precision = "double"
 [domain]
 size = [0.2, 0.2, 0.2]

@@ -30,6 +30,7 @@ LONE_DROP = (
     WEIGHTLESS
     + """
 [accuracy]
+pressure = "explicit"
 transfer = "apic"
 precision = "double"
 volume_correction = "none"

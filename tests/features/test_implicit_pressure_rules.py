@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import vgmpi
-from vgmpi.commands import cli
 from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.scene.loader import SceneError
 
@@ -157,25 +156,6 @@ def test_defaults_and_the_bound_of_the_step(tmp_path):
     assert 1 / plan.time_step.min_rate == pytest.approx(0.1 / 49)
 
 
-@pytest.mark.parametrize(
-    "text, is_named",
-    [
-        (SCENE, True),
-        (SCENE + POST, True),
-        (SCENE.replace('kind = "fluid"', 'kind = "fluid"\nviscosity = 200'), False),
-        (SCENE.replace("[accuracy]", '[accuracy]\ntransfer = "aflip"'), False),
-    ],
-    ids=["water", "collider", "syrup", "aflip"],
-)
-def test_a_plan_names_it_where_it_suits(tmp_path, capsys, text, is_named):
-    """Not where viscosity or the scene's own choice decides."""
-    path = tmp_path / "scene.toml"
-    path.write_text(text.replace('pressure = "implicit"\n', ""))
-    assert cli.main([str(path), "--plan"]) == 0
-    line = 'accuracy.pressure = "implicit" suits this scene: 3 to 11 times fewer steps'
-    assert (line in capsys.readouterr().out) == is_named
-
-
 def test_a_hydrostatic_start_adds_no_mass(tmp_path):
     """Compressed water has more mass in its shape; an implicit pressure does not compress it."""
     key = 'initial_pressure = "hydrostatic"'
@@ -213,7 +193,7 @@ def test_bodies_that_an_implicit_elasticity_is_not_for(tmp_path, key, feature):
 
 
 def test_an_implicit_elasticity_is_not_for_drag(tmp_path):
-    text = SCENE.replace("pressure", "elasticity")
+    text = SCENE.replace("pressure", 'pressure = "explicit"\nelasticity')
     message = refusal(tmp_path, text + SAND + SEEPAGE)
     feature = "couplings of kind 'drag'"
     assert f"coupling.0.kind: accuracy.elasticity = 'implicit' is not for {feature}" in message

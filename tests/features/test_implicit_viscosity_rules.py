@@ -16,6 +16,7 @@ sampling_rate = 100
 """
 SCENE = """
 [accuracy]
+pressure = "explicit"
 viscosity = "implicit"
 [domain]
 size = [0.4, 0.2, 0.4]
@@ -57,6 +58,7 @@ material = "rubber"
 rigid = true
 shape = { sphere = { center = [0.2, 0.1, 0.2], radius = 0.04 } }
 """
+BOTH = SCENE.replace('pressure = "explicit"', 'pressure = "implicit"')
 BODIES = "bodies that are held or moved, and thin walls"
 OTHER = "materials other than Newtonian liquids"
 
@@ -75,7 +77,7 @@ def with_lines(table, *lines):
                                                      "shear_modulus = 500")),
         ("object.duck.rigid", BODIES, SCENE + DUCK),
         ("object.duck.slip_length", "slip lengths of free bodies",
-         with_lines("[accuracy]", 'pressure = "implicit"') + DUCK + "slip_length = 0\n"),
+         BOTH + DUCK + "slip_length = 0\n"),
         ("object.pool.release_time", BODIES, with_lines('name = "pool"', "release_time = 0.05")),
         ("object.post.thin", BODIES, SCENE + POST + "thin = true\n"),
         ("object.post.friction", "colliders with friction", SCENE + POST + "friction = 0.3\n"),
@@ -105,8 +107,8 @@ def test_a_feature_is_refused(tmp_path, key, what, text):
         with_lines(
             "cell = 0.02", 'boundary = { default = "slip", top = "open", bottom = "separate" }'
         ),
-        with_lines("[accuracy]", 'pressure = "implicit"'),
-        with_lines("[accuracy]", 'pressure = "implicit"') + DUCK,
+        BOTH,
+        BOTH + DUCK,
     ],
     ids=["sticks", "moves", "phases", "walls", "pressure", "floats"],
 )
@@ -116,13 +118,12 @@ def test_a_scene_that_can_have_it(tmp_path, text):
 
 def test_viscosity_does_not_bound_the_step(tmp_path):
     """It is gravity's with an implicit pressure; else waves bound it."""
-    explicit = SCENE.replace('"implicit"', '"explicit"')
+    explicit = SCENE.replace('viscosity = "implicit"', 'viscosity = "explicit"')
     plan = vgmpi.plan(vgmpi.load(tmp_path / "scene.toml", text=explicit))
     assert 1 / plan.time_step.min_rate == pytest.approx(0.02**2 / 6 / (200 / 1400))
     plan = vgmpi.plan(vgmpi.load(tmp_path / "scene.toml", text=SCENE))
     assert plan.time_step.min_rate == 0 and plan.groups[0].law.mu == 0
-    both = with_lines("[accuracy]", 'pressure = "implicit"')
-    plan = vgmpi.plan(vgmpi.load(tmp_path / "scene.toml", text=both))
+    plan = vgmpi.plan(vgmpi.load(tmp_path / "scene.toml", text=BOTH))
     assert 1 / plan.time_step.min_rate == pytest.approx(0.4 * 0.02 / math.sqrt(2 * 9.8 * 0.02))
 
 

@@ -15,6 +15,7 @@ boundary = { default = "slip", bottom = "stick", east = "separate" }
 [time]
 end = 0.1
 [accuracy]
+pressure = "explicit"
 precision = "double"
 viscosity = "implicit"
 [material.honey]

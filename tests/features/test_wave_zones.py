@@ -84,6 +84,8 @@ def zone(name, low, high, outer, height):
 
 
 CUBE = """
+[accuracy]
+pressure = "explicit"
 [domain]
 size = [0.3, 0.3, 0.3]
 cell = 0.025

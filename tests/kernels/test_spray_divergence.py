@@ -17,6 +17,7 @@ SPRAY = (
     WEIGHTLESS
     + """
 [accuracy]
+pressure = "explicit"
 precision = "double"
 transfer = "apic"
 volume_correction = "VOLUME"

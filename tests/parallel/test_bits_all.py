@@ -19,6 +19,7 @@ cell = 0.01
 end = 0.1
 frames = 21
 [accuracy]
+pressure = "explicit"
 precision = "single"
 
 [material.water]

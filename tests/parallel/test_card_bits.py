@@ -19,6 +19,7 @@ cell = 0.04
 end = 0.024
 frames = 3
 [accuracy]
+pressure = "explicit"
 precision = "single"
 [material.water]
 kind = "fluid"

@@ -46,6 +46,8 @@ def test_ranks_exchange_what_they_store(name, tmp_path):
 
 
 POOL_AND_BALL = """
+[accuracy]
+pressure = "explicit"
 [domain]
 size = [0.64, 0.16, 0.16]
 cell = 0.01

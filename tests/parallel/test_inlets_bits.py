@@ -47,6 +47,7 @@ shape = { box = [[0.26, 0.16, 0], [0.36, 0.24, 0.05]] }
 # two that mix and flow into an outlet, so that segments of either are empty when it stops
 EMPTIES = """
 [accuracy]
+pressure = "explicit"
 precision = "double"
 [domain]
 size = [0.4, 0.2, 0.4]

@@ -25,6 +25,7 @@ STEPS = 240
 
 BALL = """
 [accuracy]
+pressure = "explicit"
 precision = "double"
 [domain]
 size = [0.48, 0.4, 0.4]

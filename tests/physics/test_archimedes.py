@@ -29,6 +29,7 @@ boundary.default = "slip"
 [time]
 end = 4
 [accuracy]
+pressure = "explicit"
 precision = "single"
 [material.wood]
 kind = "elastic"

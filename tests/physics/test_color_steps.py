@@ -29,6 +29,7 @@ from vgmpi.solver.restart.state_io import frame_rows
 PAPER = "VersaGauss, transfer of colors"
 SCENE = """
 [accuracy]
+pressure = "explicit"
 precision = "double"
 [domain]
 size = ["12 cm", "6 cm", "8 cm"]

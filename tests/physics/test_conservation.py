@@ -15,6 +15,7 @@ from tests.support.validation_record import held
 
 FREE = """
 [accuracy]
+pressure = "explicit"
 precision = "double"
 [domain]
 size = [0.48, 0.48, 0.48]

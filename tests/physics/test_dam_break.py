@@ -43,6 +43,7 @@ DX = L / CELLS
 FRONT_DEPTH = 3 / 8  # [cells] least depth of water that counts as wet
 SCENE = f"""
 [accuracy]
+pressure = "explicit"
 precision = "double"
 [domain]
 size = [{90 * DX!r}, {4 * DX!r}, {50 * DX!r}]

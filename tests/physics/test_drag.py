@@ -20,6 +20,7 @@ G = 9.80665
 N, RHO_S, RHO_W = 0.4, 2650.0, 1000.0
 SCENE = """
 [accuracy]
+pressure = "explicit"
 precision = "double"
 [domain]
 size = {size}

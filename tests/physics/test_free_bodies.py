@@ -17,6 +17,8 @@ from vgmpi.features.rigid_bodies.free_bodies import FreeBodies
 
 G = 9.81
 FLOOR = """
+[accuracy]
+pressure = "explicit"
 [domain]
 size = [{long}, 0.2, 0.6]
 cell = 0.01
@@ -55,6 +57,7 @@ gravity = [0, 0, 0]
 [time]
 end = 10
 [accuracy]
+pressure = "explicit"
 precision = "double"
 volume_correction = "none"
 [material.drop]

@@ -27,6 +27,7 @@ gravity = [0, 0, -9.80665]
 end = {end}
 frames = 13
 [accuracy]
+pressure = "explicit"
 precision = "single"
 [material.water]
 kind = "fluid"

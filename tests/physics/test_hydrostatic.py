@@ -24,6 +24,7 @@ gravity = [0, 0, -9.8]
 end = {end}
 frames = 41
 [accuracy]
+pressure = "explicit"
 precision = "{precision}"
 [material.water]
 kind = "fluid"

@@ -14,8 +14,8 @@ from tests.physics.test_surface_slip import MIDDLE, OMEGA
 from tests.support.simulate import advance, begin, by_id
 from tests.support.validation_record import held
 
-PRESSURE = 'pressure = "implicit"\n'
-BOTH = PRESSURE + 'viscosity = "implicit"\n'
+IMPLICIT = 'pressure = "implicit"\n'
+PRESSURE, BOTH = (f'{IMPLICIT}viscosity = "{name}"\n' for name in ("explicit", "implicit"))
 EACH_VISCOSITY = pytest.mark.parametrize(
     "keys", [PRESSURE, BOTH], ids=["explicit viscosity", "implicit viscosity"]
 )
@@ -169,7 +169,7 @@ def test_what_honey_loses_walls_and_colliders_take(tmp_path):
     text = DAM + DISC.replace("0.32, ", "0.2, ") + "slip_length = 0\n"
     text += probes(collider="collider")
     text = text.replace('kind = "fluid"', 'kind = "fluid"\nviscosity = 20')
-    text = text.replace(PRESSURE, PRESSURE + 'precision = "double"\n')
+    text = text.replace(IMPLICIT, IMPLICIT + 'precision = "double"\n')
     simulation, _ = begin(tmp_path, text)
     advance(simulation, 0.2)
     v, volume = by_id(simulation, "v", "vol0")

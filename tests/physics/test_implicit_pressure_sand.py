@@ -58,6 +58,7 @@ shape = {{ box = [[0, 0, {HEIGHT}], [0.08, 0.08, {DEEP}]] }}
 
 def implicit(text):
     """The text of a scene with an implicit pressure."""
+    text = text.replace('pressure = "explicit"\n', "")
     return text.replace('precision = "double"', 'precision = "double"\npressure = "implicit"')
 
 

@@ -17,8 +17,9 @@ from tests.physics.test_vortices import SPEED, K, L, rate
 from tests.support.simulate import advance, begin, by_id, totals
 from tests.support.validation_record import held
 
-VISCOUS = 'viscosity = "implicit"\n'
-BOTH = VISCOUS + 'pressure = "implicit"\n'
+VISCOUS, BOTH = (
+    f'viscosity = "implicit"\npressure = "{name}"\n' for name in ("explicit", "implicit")
+)
 
 
 def take_steps(simulation, dt, number):
@@ -35,7 +36,8 @@ def test_vortices_decay(tmp_path, keys, diffusion):
     dx = L / cells
     dt = diffusion * dx**2 / nu
     text = test_vortices.SCENE.format(dx=dx, deep=4 * dx, mu=1000 * nu, transfer="apic", k=K)
-    simulation, _ = begin(tmp_path, text.replace('transfer = "apic"\n', keys))
+    text = text.replace('pressure = "explicit"\n', "").replace('transfer = "apic"\n', keys)
+    simulation, _ = begin(tmp_path, text)
     steps, amplitudes = round(1 / (20 * nu * K**2 * dt)), []
     for number in range(11):
         if number:
@@ -64,7 +66,7 @@ def test_flow_between_stick_walls(tmp_path, keys, length):
     With an implicit pressure its ends act farther: with 128 cells the middle runs 1.3 % too fast.
     """
     gravity, dt = 0.002, DX**2 * RHO / MU
-    scene = test_poiseuille.SCENE.replace("[accuracy]\n", f"[accuracy]\n{keys}")
+    scene = test_poiseuille.SCENE.replace('pressure = "explicit"\n', keys)
     sizes = {"wide": 2 * H, "deep": 4 * DX, "dx": DX, "high": (length + 8) * DX, "low": 4 * DX}
     text = scene.format(
         keys=f'kind = "fluid"\nviscosity = {MU}', gravity=-gravity, top=(length + 4) * DX, **sizes

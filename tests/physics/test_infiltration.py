@@ -16,6 +16,7 @@ from tests.support.validation_record import held
 G, N, K, POND, SAND, RAMP = 9.80665, 0.4, 2e-2, 0.2, 0.4, 0.1
 SCENE = f"""
 [accuracy]
+pressure = "explicit"
 precision = "double"
 [domain]
 size = [0.04, 0.04, {POND + SAND + 0.04!r}]

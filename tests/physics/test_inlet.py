@@ -19,6 +19,7 @@ MOUTH = np.array([0.1, 0.1, 0.56])
 START, END = 0.013, 0.44
 SCENE = f"""
 [accuracy]
+pressure = "explicit"
 precision = "double"
 [domain]
 size = [0.7, 0.2, 0.64]

@@ -46,6 +46,8 @@ def test_momentum_of_jointed_bodies_that_a_drop_hits(tmp_path, kind, more):
 
 
 WHEEL = """
+[accuracy]
+pressure = "explicit"
 [domain]
 size = [0.32, 0.16, 0.32]
 cell = 0.01

@@ -61,6 +61,8 @@ def reach(x, volume):
 
 def exchange(folder, stiff, accuracy):
     """Speeds of lower and upper front over sqrt(g' H), and the emptiest node until 1.2 s."""
+    if "pressure" not in accuracy:
+        accuracy += '\npressure = "explicit"'
     text = SCENE.replace("STIFF", stiff).replace("ACCURACY", accuracy)
     simulation, made = begin(folder, text)
     plan, salt, volume = simulation.plan, made.object == 1, made.vol0

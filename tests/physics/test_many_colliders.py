@@ -20,6 +20,7 @@ cell = 0.01
 [time]
 end = 20
 [accuracy]
+pressure = "explicit"
 precision = "single"
 [material.water]
 kind = "fluid"

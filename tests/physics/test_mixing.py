@@ -24,7 +24,7 @@ from tests.support.validation_record import held
 # --- the same numbers: one fluid ---
 
 SAME = """
-accuracy = { precision = "double", volume_correction = "none" }
+accuracy = { pressure = "explicit", precision = "double", volume_correction = "none" }
 time = { end = 1, cfl = 0.4 }
 [domain]
 size = [0.32, 0.16, 0.16]
@@ -83,6 +83,7 @@ gravity = [0, 0, 0]
 [time]
 end = 1
 [accuracy]
+pressure = "explicit"
 precision = "PRECISION"
 [material.water]
 kind = "fluid"
@@ -211,6 +212,7 @@ gravity_ramp_time = {RAMP}
 [time]
 end = 1
 [accuracy]
+pressure = "explicit"
 precision = "single"
 [material.heavy]
 kind = "fluid"
@@ -287,6 +289,7 @@ gravity = [0, 0, {-PULL}]
 [time]
 end = 1
 [accuracy]
+pressure = "explicit"
 precision = "single"
 [material.heavy]
 kind = "fluid"
@@ -348,6 +351,7 @@ def test_rayleigh_taylor(tmp_path, cells):
 # --- three fluids ---
 
 THREE = """
+accuracy.pressure = "explicit"
 accuracy.precision = "double"
 [domain]
 size = [0.32, 0.32, 0.32]

@@ -17,6 +17,8 @@ from tests.support.validation_record import held
 
 H, CELL, RHO, G = 0.16, 0.01, 1000.0, 9.8
 POOL = """
+[accuracy]
+pressure = "explicit"
 [domain]
 size = [0.04, 0.04, 0.2]
 cell = 0.01
@@ -44,6 +46,7 @@ cell = 0.01
 gravity = [0, 0, -9.8]
 gravity_ramp_time = 0.5
 [accuracy]
+pressure = "explicit"
 transfer = "apic"
 [time]
 end = 1

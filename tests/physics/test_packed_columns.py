@@ -42,6 +42,7 @@ end = 100
 [accuracy]
 precision = "single"
 volume_correction = "VOLUME"
+pressure = "explicit"
 [material.water]
 kind = "fluid"
 max_speed = SPEED

@@ -52,6 +52,7 @@ gravity = [0, 0, {gravity}]
 [time]
 end = 2
 [accuracy]
+pressure = "explicit"
 precision = "{precision}"
 [material.one]
 {one}

@@ -30,6 +30,7 @@ cell = {dx!r}
 [time]
 end = 100
 [accuracy]
+pressure = "explicit"
 precision = "single"
 [material.water]
 kind = "fluid"

@@ -22,6 +22,7 @@ boundary.default = "slip"
 [time]
 end = 4
 [accuracy]
+pressure = "explicit"
 precision = "single"
 [material.hard]
 kind = "elastic"

@@ -23,6 +23,7 @@ DX = 2 * H / CELLS
 BIRD = "Bird et al., Transport Phenomena, 2002, "
 SCENE = """
 [accuracy]
+pressure = "explicit"
 precision = "double"
 [domain]
 size = [{wide!r}, {deep!r}, {high!r}]

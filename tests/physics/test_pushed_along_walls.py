@@ -14,6 +14,7 @@ from tests.support.simulate import advance, begin, by_id
 CELL = 0.02
 SCENE = """
 [accuracy]
+pressure = "explicit"
 precision = "double"
 [domain]
 size = {size}
@@ -74,6 +75,7 @@ def test_a_closed_drum_with_a_blade_keeps_all_its_sand(tmp_path):
     """The blade turns with the drum; the sand is poured over it, and it is cut out."""
     text = """
 [accuracy]
+pressure = "explicit"
 precision = "double"
 [domain]
 size = [0.36, 0.36, 0.16]

@@ -22,6 +22,7 @@ end = 100
 [accuracy]
 precision = "single"
 volume_correction = "VOLUME"
+pressure = "explicit"
 [material.water]
 kind = "fluid"
 tait_coefficient = "60 kPa"

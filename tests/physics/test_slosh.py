@@ -55,6 +55,8 @@ def wave(x):
 def sloshing(folder, cells, accuracy="", cfl=0.4, particles=27, modulus=2e4):
     """(period [s], share of the amplitude that a period leaves). cells: of a wave's length, 2 L."""
     dx = 2 * L / cells
+    if "pressure" not in accuracy:
+        accuracy += '\npressure = "explicit"'
     text = SCENE.format(
         deep=4 * dx, dx=dx, accuracy=accuracy, cfl=cfl, particles=particles, modulus=modulus
     )

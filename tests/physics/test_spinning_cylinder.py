@@ -27,6 +27,7 @@ boundary = "slip"
 [time]
 end = 100
 [accuracy]
+pressure = "explicit"
 precision = "single"
 [material.syrup]
 kind = "fluid"

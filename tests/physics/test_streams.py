@@ -19,6 +19,8 @@ MATERIALS = {
     "sand": 'preset = "dry sand"\nkind = "sand"\nyoungs_modulus = "50 kPa"',
 }
 SCENE = f"""
+[accuracy]
+pressure = "explicit"
 [domain]
 size = [0.12, 0.12, 0.6]
 cell = {DX}

@@ -20,6 +20,7 @@ MODULUS = E * (1 - NU) / ((1 + NU) * (1 - 2 * NU))
 PERMEABILITY, LOAD, HEIGHT, RAMP = 1e-2, 500.0, 0.4, 0.035
 SCENE = f"""
 [accuracy]
+pressure = "explicit"
 precision = "double"
 [domain]
 size = [0.08, 0.08, 0.48]

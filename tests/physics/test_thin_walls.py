@@ -13,6 +13,8 @@ from tests.support.simulate import advance, begin, by_id
 DX, G, DENSITY, WIDTH = 0.01, 9.8, 1000.0, 0.04  # [m], [m/s2], [kg/m3], [m]
 CREEP = 0.1  # [cells] by which particles may be inside a wall
 TANK = """
+[accuracy]
+pressure = "explicit"
 [domain]
 size = [{size}, 0.04, 0.32]
 cell = 0.01
@@ -49,6 +51,8 @@ shape = {{ box = [[{start}, 0, 0], [{stop}, 0.04, {depth}]] }}
 """
 MOVING = 'motion = { velocity = ["-0.2 m/s", 0, 0] }'
 CUP = """
+[accuracy]
+pressure = "explicit"
 [domain]
 size = [0.4, 0.24, 0.4]
 cell = 0.01

@@ -34,6 +34,7 @@ gravity = [0, 0, -9.8]
 [time]
 end = 100
 [accuracy]
+pressure = "explicit"
 precision = "single"
 [material.water]
 kind = "fluid"

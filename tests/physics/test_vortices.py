@@ -25,6 +25,7 @@ boundary = "slip"
 [time]
 end = 100
 [accuracy]
+pressure = "explicit"
 precision = "double"
 transfer = "{transfer}"
 [material.oil]

@@ -30,6 +30,7 @@ boundary = "slip"
 [time]
 end = 10
 [accuracy]
+pressure = "explicit"
 precision = "single"
 [material.rubber]
 kind = "elastic"

@@ -17,6 +17,8 @@ from vgmpi.solver.diagnostics.post_run_advice import RunObserver, advice
 from vgmpi.solver.initial_particles import known_of, plan_for
 
 SCENE = """
+[accuracy]
+pressure = "explicit"
 [domain]
 size = [0.4, 0.2, 0.2]
 cell = 0.02

@@ -23,6 +23,7 @@ cell = 0.01
 [time]
 end = 1
 [accuracy]
+pressure = "explicit"
 precision = "single"
 transfer = "TRANSFER"
 [material.water]

@@ -9,6 +9,8 @@ from vgmpi.preprocess.scene_builder import build_scene
 from vgmpi.solver.initial_particles import known_of, plan_for
 
 SCENE = """
+[accuracy]
+pressure = "explicit"
 [domain]
 size = [0.32, 0.16, 0.16]
 cell = 0.01

@@ -28,6 +28,7 @@ def rules_of(plan):
 
 POURED = """
 [accuracy]
+pressure = "explicit"
 precision = "double"
 [domain]
 size = [0.16, 0.16, 0.16]

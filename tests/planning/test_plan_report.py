@@ -32,6 +32,7 @@ gravity = [0, 0, 0]
 end = 0.025
 frames = 2
 [accuracy]
+pressure = "explicit"
 precision = "single"
 [material.snow]
 kind = "snow"
@@ -83,6 +84,7 @@ def test_a_fixed_step_is_no_range(tmp_path):
 
 PLATE = """
 [accuracy]
+pressure = "explicit"
 precision = "double"
 [domain]
 size = [0.32, 0.16, 0.16]
@@ -215,6 +217,8 @@ def test_other_laws_go_by_their_cost_beside_an_elastic_one():
 
 
 HELD_BEAM = """
+[accuracy]
+pressure = "explicit"
 [domain]
 size = [0.4, 0.2, 0.2]
 cell = 0.01

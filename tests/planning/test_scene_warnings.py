@@ -24,6 +24,8 @@ shape = { box = [[0, 0, 0], ["32 cm", "32 cm", "8 cm"]] }
 name = "ball"
 material = "solid"
 shape = { sphere = { center = ["16 cm", "16 cm", "HEIGHT"], radius = "6 cm" } }
+[accuracy]
+pressure = "explicit"
 """
 USUAL = {
     "SIZE": '"32 cm", "32 cm", "32 cm"', "LIQUID": 'max_speed = "2.5 m/s"', "MODULUS": "0.1 MPa",

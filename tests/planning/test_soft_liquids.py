@@ -17,6 +17,8 @@ from vgmpi.preprocess.initial_conditions import closed_box_tensions, liquid_weig
 from vgmpi.preprocess.scene_builder import build_scene
 
 HEAD = """
+[accuracy]
+pressure = "explicit"
 [domain]
 size = [0.4, 0.4, 1.2]
 cell = 0.04
@@ -95,18 +97,18 @@ def test_paste_has_a_weight_too(tmp_path):
 def test_a_liquid_that_cannot_follow_cells_is_named(tmp_path, capsys):
     """One that shares the space of another does not follow the dilatation by cells."""
     text = HEAD.replace("STIFF", "").replace("GRAVITY", "") + HALF + ABOVE
-    cells = '[accuracy]\ndilatation = "cells"\n'
+    text = text.replace("[accuracy]\n", '[accuracy]\ndilatation = "cells"\n')
     mixing = '[[coupling]]\nkind = "mixing"\nbetween = ["water", "oil"]\n'
     path = tmp_path / "scene.toml"
-    path.write_text(text + cells)
+    path.write_text(text)
     assert cli.main([str(path), "--plan", "-v"]) == 0
     out = capsys.readouterr().out
     assert "dilatation by cells" in out and "  dilatation  " not in out
-    path.write_text(text + cells + mixing)
+    path.write_text(text + mixing)
     assert cli.main([str(path), "--plan", "-v"]) == 0
     (line,) = [x for x in capsys.readouterr().out.splitlines() if "  dilatation  " in x]
     assert "by particles: only liquids that share no space with others follow cells" in line
-    path.write_text(text + cells + 'transfer = "aflip"\n')
+    path.write_text(text.replace("[accuracy]\n", '[accuracy]\ntransfer = "aflip"\n'))
     assert cli.main([str(path), "--check"]) == 2
     error = capsys.readouterr().err
     assert "accuracy.dilatation" in error and "scene.toml:" in error
@@ -135,6 +137,7 @@ BOUNDARY
 [time]
 end = 1
 [accuracy]
+pressure = "explicit"
 precision = "single"
 [material.water]
 kind = "fluid"

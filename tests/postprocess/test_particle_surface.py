@@ -25,6 +25,8 @@ cell = 0.01
 [time]
 end = 0.2
 frames = 3
+[accuracy]
+pressure = "explicit"
 [material.water]
 kind = "fluid"
 max_depth = 0.06

@@ -19,6 +19,7 @@ from vgmpi.postprocess.studio.studio_renderer import STREAM_STRETCH
 
 SCENE = """
 [accuracy]
+pressure = "explicit"
 precision = "double"
 [domain]
 size = [0.2, 0.16, 0.16]

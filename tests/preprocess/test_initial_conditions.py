@@ -19,6 +19,7 @@ end = 0.01
 frames = 2
 [accuracy]
 precision = "PRECISION"
+pressure = "explicit"
 [material.water]
 kind = "fluid"
 tait_coefficient = 2e4

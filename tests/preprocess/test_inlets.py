@@ -14,6 +14,7 @@ from vgmpi.solver.initial_particles import known_of, plan_for
 
 TANK = """
 [accuracy]
+pressure = "explicit"
 precision = "double"
 [domain]
 size = [0.4, 0.2, 0.4]
@@ -181,6 +182,7 @@ def test_a_scene_of_an_inlet_alone(tmp_path):
 
 BESIDE = """
 [accuracy]
+pressure = "explicit"
 precision = "double"
 [domain]
 size = [WIDE, 0.4, 0.4]

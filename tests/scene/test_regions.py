@@ -161,7 +161,7 @@ def test_a_region_has_its_color(tmp_path):
 
 
 def test_the_plan_tells_of_regions_and_steps_by_the_stiffest_part(tmp_path):
-    scene = vgmpi.load(tmp_path / "scene.toml", text=SCENE)
+    scene = vgmpi.load(tmp_path / "scene.toml", {"accuracy.pressure": "explicit"}, SCENE)
     plan = vgmpi.plan(scene)
     report = format_plan(scene, plan, ranks=1)
     assert "  region      hammer: 64 of its 320 particles are of iron" in report

@@ -23,6 +23,7 @@ BOUNDARY
 [time]
 end = 0.1
 [accuracy]
+pressure = "explicit"
 precision = "double"
 [material.jelly]
 kind = "elastic"

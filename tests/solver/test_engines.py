@@ -24,6 +24,7 @@ boundary = { BOUNDARY }
 [time]
 end = 1
 [accuracy]
+pressure = "explicit"
 precision = "double"
 ACCURACY
 """

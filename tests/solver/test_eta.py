@@ -104,6 +104,7 @@ def test_before_there_is_a_step_nothing_is_said():
 
 JET = """
 [accuracy]
+pressure = "explicit"
 precision = "double"
 [domain]
 size = [0.2, 0.2, 0.4]

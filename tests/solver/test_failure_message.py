@@ -18,6 +18,8 @@ from vgmpi.solver.failure_message import failure_message
 from vgmpi.solver.initial_particles import known_of, plan_for
 
 SCENE = """
+[accuracy]
+pressure = "explicit"
 [domain]
 size = [0.2, 0.2, 0.2]
 cell = 0.02

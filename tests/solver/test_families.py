@@ -22,7 +22,7 @@ KINDS = {
 
 
 def text():
-    out = '[accuracy]\nprecision = "double"\n'
+    out = '[accuracy]\npressure = "explicit"\nprecision = "double"\n'
     out += "[domain]\nsize = [0.48, 0.08, 0.08]\ncell = 0.02\n[time]\nend = 1\n"
     for k, (name, keys) in enumerate(KINDS.items()):
         out += f"[material.{name}]\n{keys}\n[[object]]\nname = 'a {name}'\nmaterial = '{name}'\n"

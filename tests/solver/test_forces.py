@@ -19,6 +19,7 @@ boundary = { default = WALLS }
 end = 0.01
 frames = 2
 [accuracy]
+pressure = "explicit"
 precision = "double"
 transfer = "TRANSFER"
 [material.water]
@@ -217,6 +218,7 @@ cell = 0.02
 end = 0.02
 frames = 2
 [accuracy]
+pressure = "explicit"
 precision = "double"
 [material.water]
 kind = "fluid"

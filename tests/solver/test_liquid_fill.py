@@ -25,6 +25,7 @@ boundary = { default = "slip", east = { kind = "separate", friction = 0.2 } }
 end = 0.3
 frames = 4
 [accuracy]
+pressure = "explicit"
 precision = "single"
 volume_correction = "CORRECTION"
 [material.water]

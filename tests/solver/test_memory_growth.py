@@ -13,6 +13,8 @@ from tests.support.small_scenes import write
 MEASURED = 600, 1200, 1800, 2400, 3000  # steps
 BOUND = 16  # [bytes] per step
 SCENE = """
+[accuracy]
+pressure = "explicit"
 [domain]
 size = ["12 cm", "8 cm", "8 cm"]
 cell = "2 cm"

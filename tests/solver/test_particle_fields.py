@@ -21,6 +21,7 @@ cell = 0.01
 [time]
 end = 1
 [accuracy]
+pressure = "explicit"
 precision = "PRECISION"
 [material.water]
 kind = "fluid"

@@ -40,6 +40,7 @@ cell = 0.016
 end = 0.5
 frames = 6
 [accuracy]
+pressure = "explicit"
 precision = "single"
 [material.water]
 kind = "fluid"
@@ -132,6 +133,8 @@ def test_a_fixed_step_gives_its_steps(tmp_path):
 
 
 FLOATS = """
+[accuracy]
+pressure = "explicit"
 [domain]
 size = [0.4, 0.2, 0.2]
 cell = 0.02

@@ -12,6 +12,7 @@ from vgmpi.solver.diagnostics import probe_sampling
 # 3 x 3 x 10.5 cells of water, at rest: the surface lies in the middle of a cell
 STILL = """
 [accuracy]
+pressure = "explicit"
 precision = "double"
 [domain]
 size = [0.12, 0.12, 0.48]
@@ -134,6 +135,7 @@ def test_rows_come_at_their_times(still):
 
 FLYING = """
 [accuracy]
+pressure = "explicit"
 precision = "double"
 [domain]
 size = [0.4, 0.4, 0.4]

@@ -34,6 +34,7 @@ cell = "2 cm"
 end = "20 ms"
 frames = 3
 [accuracy]
+pressure = "explicit"
 precision = "single"
 [material.water]
 kind = "fluid"

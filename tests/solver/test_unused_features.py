@@ -17,6 +17,7 @@ from vgmpi.kernels import particle_records
 
 PLAIN = """
 [accuracy]
+pressure = "explicit"
 precision = "double"
 [domain]
 size = [0.32, 0.32, 0.32]
@@ -351,7 +352,7 @@ FEATURES = {
         {"Offsets", "SidedPhases"},
     ),
     "an implicit pressure": (
-        PLAIN.replace("[accuracy]", '[accuracy]\npressure = "implicit"'),
+        PLAIN.replace('pressure = "explicit"', 'pressure = "implicit"'),
         {"features.implicit_pressure", "engine.gathered_nodes.displacement", "needs.fields", *(
             f"{owner}.particle pressure"
             for owner in ("engine.layers", "tables.has_terms", "tables.contributes")

@@ -3,6 +3,7 @@
 DX, PLATE = 0.01, 3  # [m] cell, [cells] thickness of the floor
 SCENE = """
 [accuracy]
+pressure = "explicit"
 precision = "{precision}"
 [domain]
 size = [{wide}, {deep}, {high}]

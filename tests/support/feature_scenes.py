@@ -7,6 +7,8 @@ def room(size, end, boundary="", cell="1 cm", frames=3):
     """Return the tables [domain] and [time] of a scene."""
     walls = f"boundary = {boundary}\n" if boundary else ""
     return f"""
+[accuracy]
+pressure = "explicit"
 [domain]
 size = [{size}]
 cell = "{cell}"

@@ -23,6 +23,7 @@ boundary = { default = "slip", bottom = "stick", east = { kind = "separate", fri
 [time]
 end = 1
 [accuracy]
+pressure = "explicit"
 precision = "PRECISION"
 [material.oil]
 kind = "fluid"

@@ -12,6 +12,7 @@ gravity = {gravity}
 end = {end}
 frames = 13
 [accuracy]
+pressure = "explicit"
 precision = "single"
 """
 DOWN = [0, 0, -9.81]

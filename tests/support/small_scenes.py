@@ -83,6 +83,7 @@ end = 0.06
 frames = 4
 
 [accuracy]
+pressure = "explicit"
 precision = "PRECISION"
 
 [material.water]
@@ -156,6 +157,7 @@ end = 0.05
 frames = 3
 
 [accuracy]
+pressure = "explicit"
 precision = "PRECISION"
 
 [material.water]

@@ -17,6 +17,7 @@ cell = 0.02
 end = 1
 [accuracy]
 precision = "single"
+pressure = "explicit"
 [material.water]
 kind = "fluid"
 tait_coefficient = 1e5

@@ -21,6 +21,7 @@ from vgmpi.tools.tradeoff.study_runs import Study, StudyError
 
 SCENE = """
 [accuracy]
+pressure = "explicit"
 precision = "double"
 [domain]
 size = [0.32, 0.16, 0.24]
@@ -296,7 +297,7 @@ def test_quick_needs_other_cells_that_divide_the_domain(tmp_path, capsys):
     assert setting_study.main([str(write(tmp_path, text)), "--quick"]) == 2
     said = capsys.readouterr().err
     assert (
-        "scene.toml:6: domain.cell" in said
+        "scene.toml:7: domain.cell" in said
         and "as --quick requires: its 17 x 11 x 13 cells have" in said
     )
 
@@ -379,4 +380,4 @@ def test_wrong_flags_are_told(tmp_path, capsys, flags, said):
 def test_a_scene_that_is_wrong_is_told(tmp_path, capsys):
     path = write(tmp_path, SCENE.replace("end = 0.05", "end = -1"))
     assert setting_study.main([str(path)]) == 2
-    assert "scene.toml:8: time.end" in capsys.readouterr().err
+    assert "scene.toml:9: time.end" in capsys.readouterr().err

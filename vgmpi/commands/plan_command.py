@@ -14,7 +14,7 @@ from vgmpi.solver import initial_particles
 from vgmpi.solver.estimates import calibration
 from vgmpi.solver.estimates.pilot_run import default_pilot_run, pilot_run
 from vgmpi.solver.restart.resume_point import resolve_checkpoint
-from vgmpi.solver.run_options import check_engine
+from vgmpi.solver.run_options import suit_engine
 
 from .messages import card_module
 from .rank_supervisor import find_mpirun
@@ -35,7 +35,7 @@ def describe_plan(
     Raises:
         SceneError, CheckpointError, InvalidRunOptions.
     """
-    check_engine(args.engine, scene)
+    scene = suit_engine(args.engine, scene, ranks)
     start_time = 0.0
     if args.resume is not None:
         attrs = resolve_checkpoint(args.resume, folder, ranks)[1]

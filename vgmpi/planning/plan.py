@@ -19,6 +19,7 @@ from vgmpi.scene.gravity import Keys, gravity_at, gravity_keys, mean_gravity
 from vgmpi.scene.keyframes import mean_ramp_factor
 from vgmpi.scene.scene import Scene
 from vgmpi.scene.scene_feature import phases_of_features
+from vgmpi.scene.step_estimates import falling_rate, squared_wave_speed
 
 from .feature_plan import FeaturePlan, PlanDraft, plan_features
 from .phases_and_groups import (
@@ -38,7 +39,6 @@ FLOAT_TYPES: dict[str, np.dtype] = {
     "double": np.dtype(np.float64),
 }
 PlannedFeature = TypeVar("PlannedFeature", bound=FeaturePlan)
-RIGID_STEPS = 10.0  # [-] steps of rigid bodies alone in the time in which a drop falls `cfl` cells
 MAX_STEPS = 2.0**52  # with more steps, a step is lost to rounding when it is added to the time
 
 # Longer intervals cost less. If the shortest waves oscillate within an interval of the transfer
@@ -369,22 +369,6 @@ def _rate(scene: Scene, groups: tuple[GroupPlan, ...], features: tuple[FeaturePl
     return max(*rates, falling_rate(scene))
 
 
-def falling_rate(scene: Scene) -> float:
-    """Return the least 1 / dt [1/s] that gravity asks for where no waves bound the step, else 0.
-
-    With particles a drop at rest falls by less than `cfl` cells in a step. In a scene of
-    rigid bodies alone a step is RIGID_STEPS times shorter, for the error of their way: it is half
-    the way of a step. Without gravity the time between two frames takes the place of this one.
-    """
-    if not scene.is_free_of_waves and scene.has_particles:
-        return 0.0
-    keys = [scene.domain.gravity, *(gravity for _, gravity in gravity_keys(scene.domain))]
-    gravity = max(math.sqrt(sum(g * g for g in key)) for key in keys)
-    falling = math.sqrt(2.0 * gravity / scene.domain.cell) / scene.courant_number
-    falling = falling or (scene.time.frames - 1) / scene.time.end
-    return falling if scene.has_particles else RIGID_STEPS * falling
-
-
 def _wave_moduli(groups: tuple[GroupPlan, ...], phases: int) -> tuple[float, ...]:
     """Return the largest density times squared wave speed at rest, by phase [Pa]."""
     out = [0.0] * phases
@@ -416,10 +400,8 @@ def time_step_bounds(scene: Scene, plan: Plan, stiffened: bool = False) -> list[
             continue
         for name in scene.materials_of(entity):
             material = scene.material[name]
-            law = material.law()
-            reference = tuple(v for values in material.carries.values() for v in values)
             group = plan.groups[plan.group_of[k]]  # includes the sand whose pores it fills
-            wave = math.sqrt(group.bound(law_function(law, "wave_speed2")(law, reference)))
+            wave = math.sqrt(group.bound(squared_wave_speed(material)))
             wave *= math.sqrt(material.stiffening) if stiffened else 1.0
             if wave + speeds[k] > 0:  # waves do not bound the step with an implicit pressure
                 kind = "the motion of" if group.volume.separate_pressure else "material"

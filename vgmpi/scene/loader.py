@@ -128,7 +128,7 @@ class SceneLoader:
             self.check_hydrostatic(objects, domain)
         files = self.files(objects, tables.get("output"), top is not None and top.allow_outside)
         self.raise_if_errors()
-        return Scene(
+        scene = Scene(
             path=self.source.path, folder=self.source.folder, text=self.source.text,
             title=top.title, seed=top.seed, material=kinds,
             object=tuple(as_collider(obj, kinds.get(obj.material)) for obj in objects),
@@ -136,6 +136,9 @@ class SceneLoader:
             lists={name: tuple(items) for name, items in read.lists.items()}, overrides=overrides,
             source=self.source, **tables,
         )  # fmt: skip
+        for feature in reversed(features()):
+            scene = feature.choose_defaults(scene)
+        return scene
 
     def check_keys(self, data: dict) -> None:
         """Report unknown keys at the top of the file and required tables that are missing."""

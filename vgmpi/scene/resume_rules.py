@@ -1,14 +1,15 @@
 """Rules for restarts: keys of a scene that may change, and the changes that were made."""
 
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, get_args
 
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 
 from vgmpi.runtime.config.schema import ChangeableOnResume
 
 from .scene import Scene
-from .scene_feature import features, section_tables
+from .scene_feature import chosen_keys, features, section_tables
 from .sections import TopLevelKeys
 
 # Lists whose items may be added or removed; an item that stays must not change.
@@ -72,6 +73,9 @@ def with_accuracy_of_run(scene: Scene, before: dict) -> Scene:
         before: `Scene.to_json` of the run so far.
     """
     own, numerics = before.get("accuracy", {}), {}
+    with suppress(ValidationError):  # `forbidden_changes` then names what differs
+        choices = {key: own.get(key, value) for key, value in chosen_keys().items()}
+        scene = scene.with_choices(choices)
     for key in NUMERICS:
         allowed = get_args(type(scene.accuracy).model_fields[key].annotation)
         if key not in scene.accuracy.model_fields_set and own.get(key) in allowed:

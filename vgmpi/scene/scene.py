@@ -1,7 +1,7 @@
 """Content of a scene file as typed, checked, frozen tables."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +47,8 @@ class Scene:
         default_factory=dict
     )  # file of each object that has one, by object name
     overrides: tuple[str, ...] = ()
+    # why keys that the file does not name have their values, a line of the plan report on each
+    choices: tuple[str, ...] = field(default=(), compare=False)
     source: TomlSource | None = field(default=None, repr=False, compare=False)
 
     def __repr__(self) -> str:
@@ -113,10 +115,14 @@ class Scene:
 
         Where the grid finds the pressure, it is the unit of pressures of all liquids.
         """
-        used = {name for entity in self.entities for name in self.materials_of(entity)}
-        return max(
-            (getattr(self.material[name], "tait_coefficient", 0.0) for name in used), default=0.0
-        )
+        used = self.used_materials.values()
+        return max((getattr(material, "tait_coefficient", 0.0) for material in used), default=0.0)
+
+    @property
+    def used_materials(self) -> dict[str, Any]:
+        """Return the materials that particles have, by name."""
+        names = (name for entity in self.entities for name in self.materials_of(entity))
+        return {name: self.material[name] for name in names}
 
     def is_moved(self, k: int) -> bool:
         """Return whether a feature prescribes the motion of an object, perhaps for a time."""
@@ -140,6 +146,39 @@ class Scene:
         return phase_of(
             entity, self.material[entity.material].family, miscible_materials(self.coupling)
         )
+
+    def with_defaults(self, values: Mapping[str, Any]) -> "Scene":
+        """Return the scene with other defaults of keys of [accuracy], by key."""
+        accuracy = self.accuracy.model_copy()
+        for key, value in values.items():
+            if key not in accuracy.model_fields_set:
+                object.__setattr__(accuracy, key, value)  # it stays a key that nobody has named
+        return replace(self, accuracy=accuracy)
+
+    def with_choices(self, values: Mapping[str, Any]) -> "Scene":
+        """Return the scene as if it named those of its keys of [accuracy] that it does not.
+
+        Args:
+            values: Values by key.
+
+        Raises:
+            ValidationError: Keys that it names do not go together with them.
+        """
+        own = self.accuracy
+        choices = {key: value for key, value in values.items() if key not in own.model_fields_set}
+        if all(getattr(own, key) == value for key, value in choices.items()):
+            return self
+        named = {key: getattr(own, key) for key in own.model_fields_set}
+        return replace(self, accuracy=type(own).model_validate({**named, **choices}), choices=())
+
+    def with_choice(self, key: str, reason: str) -> "Scene":
+        """Return the scene with a line of the plan report on why a default was chosen.
+
+        Args:
+            key: Key of [accuracy].
+            reason: The choice and its reason.
+        """
+        return replace(self, choices=(*self.choices, f"  {key:11s} {reason}"))
 
     def error(self, errors: list[tuple[tuple, str]]) -> SceneError:
         """Return the exception for (path of a key, message) pairs found after loading."""

@@ -118,6 +118,8 @@ class SceneFeature:
         sections: Tables inside these keys, for the reference, by title.
         section_keys: Tables of the keys that it adds to [accuracy] and others, by their names.
         lists: Lists of tables that it adds at the top, by name.
+        chosen_keys: Its keys of [accuracy] that `choose_defaults` sets, each with the value that
+            does without the feature.
         missing_engines: Engines that cannot run it.
         suits_implicit_pressure: Whether its lists may stand beside an implicit pressure.
         moves_bodies: Whether it gives whole bodies groups of their own: it plans before others.
@@ -131,6 +133,7 @@ class SceneFeature:
     sections: Mapping[str, type[BaseModel]] = {}
     section_keys: Mapping[str, type[StrictModel]] = {}
     lists: Mapping[str, TableList] = {}
+    chosen_keys: Mapping[str, str] = {}
     missing_engines: tuple[str, ...] = ()
     suits_implicit_pressure = moves_bodies = precedes_copies = False
     hints: Mapping[str, str] = {}
@@ -147,7 +150,8 @@ class SceneFeature:
             paths += [("object", k, key) for key in self.keys_of(obj)]
         for name, table in self.section_keys.items():
             values, fields = getattr(scene, name), table.model_fields
-            paths += [(name, key) for key in fields if getattr(values, key) != fields[key].default]
+            without = {key: fields[key].default for key in fields} | dict(self.chosen_keys)
+            paths += [(name, key) for key in fields if getattr(values, key) != without[key]]
         return paths + [(name, k) for name in self.lists for k in range(len(scene.lists[name]))]
 
     def named_parts(self, scene: Any) -> list[tuple[str, tuple]]:
@@ -250,12 +254,23 @@ class SceneFeature:
         """
         return []
 
+    def choose_defaults(self, scene: Any) -> Any:
+        """Return a scene with values of the keys that it does not name, chosen from it alone.
+
+        Each feature takes what those behind it in the list have chosen.
+        """
+        return scene
+
+    def obstacles(self, scene: Any) -> Errors:
+        """Return what a scene that has the feature cannot have beside it, as `plan` refuses it."""
+        return []
+
     def removes_wave_bound(self, scene: Any) -> bool:
         """Return whether waves do not bound the steps of a scene because of the feature."""
         return False
 
     def advice_lines(self, scene: Any, plan: Any) -> list[str]:
-        """Return lines of the plan report on a scene that lacks the feature and should have it.
+        """Return lines of the plan report on a scene that lacks the feature and may want it.
 
         Args:
             scene: The scene.
@@ -319,6 +334,11 @@ class SceneFeature:
 def features() -> tuple[SceneFeature, ...]:
     """Return the features in the order in which they act."""
     return tuple(import_module(f"vgmpi.features.{name}.feature").FEATURE for name in FEATURES)
+
+
+def chosen_keys() -> dict[str, str]:
+    """Return the keys of [accuracy] that features choose; see `SceneFeature.chosen_keys`."""
+    return {key: value for feature in features() for key, value in feature.chosen_keys.items()}
 
 
 def hint(problem: str) -> str:

@@ -28,7 +28,7 @@ from .initial_particles import (
     rows_of_this_rank,
     write_initial_particles,
 )
-from .run_options import Options, check, check_engine
+from .run_options import Options, check, suit_engine
 from .run_outcome import BLEW_UP, DONE, STOPPED, BlowUp
 from .simulation import Simulation
 from .step_to_target import next_step
@@ -292,7 +292,7 @@ def prepared_run(
         SceneError, StoreError, RunFolderInUseError, CheckpointError, RunError, InvalidRunOptions,
         BlowUp.
     """
-    check_engine(options.engine, scene)
+    scene = suit_engine(options.engine, scene, ranks)
     check(options, ranks)
     folder, resumed = options.folder, options.resume is not None
     with contextlib.ExitStack() as stack:

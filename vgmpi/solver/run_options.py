@@ -1,5 +1,6 @@
 """Options of a run, the engines by their names, and checks before any work is done."""
 
+import logging
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,6 +15,8 @@ from vgmpi.solver.engines.engine_protocol import Engine
 from vgmpi.solver.engines.numpy_reference.reference_engine import Numpy
 
 from .run_outcome import InvalidRunOptions
+
+log = logging.getLogger("vgmpi")
 
 
 @dataclass
@@ -68,6 +71,29 @@ def check(options: Options, ranks: SerialCommunicator) -> None:
         )
     if options.engine == CARD:
         _find_card(options, ranks)
+
+
+def suit_engine(engine: str, scene: Scene, ranks: SerialCommunicator) -> Scene:
+    """Return a scene without chosen defaults that an engine lacks; rank 0 logs a line on them.
+
+    Args:
+        engine: Name of the engine.
+        scene: The scene.
+        ranks: Communicator.
+
+    Raises:
+        InvalidRunOptions: The scene itself has what the engine lacks: the message names all of it.
+    """
+    lacking = [feature for feature in features() if engine in feature.missing_engines]
+    choices = {key: value for each in lacking for key, value in each.chosen_keys.items()}
+    suited = scene.with_choices(choices)
+    check_engine(engine, suited)
+    if suited is not scene and ranks.rank == 0:
+        now, before = suited.accuracy, scene.accuracy
+        keys = [key for key in choices if getattr(now, key) != getattr(before, key)]
+        changed = ", ".join(f"accuracy.{key} = {getattr(now, key)!r}" for key in keys)
+        log.info("engine %s runs this scene with %s", engine, changed)
+    return suited
 
 
 def check_engine(engine: str, scene: Scene) -> None:

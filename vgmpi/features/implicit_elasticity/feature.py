@@ -45,6 +45,15 @@ class ImplicitElasticity(SceneFeature):
     section_keys = {"accuracy": AccuracyKeys}
     missing_engines = ("cuda", "numpy")
 
+    def obstacles(self, scene: Any) -> list[tuple[tuple, str]]:
+        """Return what a scene whose solids have an implicit elasticity cannot have.
+
+        Args:
+            scene: See `SceneFeature.obstacles`.
+        """
+        has_solids = any(m.family != "fluid" for m in scene.used_materials.values())
+        return list(_unknown_parts(scene)) if has_solids and _is_implicit(scene) else []
+
     def plan(self, draft: Any, prepared: Any) -> tuple[Any, Any]:
         """Return its plan, or None, and the draft with groups whose waves the grid slows.
 
@@ -54,19 +63,23 @@ class ImplicitElasticity(SceneFeature):
         Raises:
             SceneError: The scene has what an implicit elasticity does not know.
         """
-        accuracy = draft.scene.accuracy
-        if (accuracy.elasticity or accuracy.pressure) == "explicit":
+        if not _is_implicit(draft.scene):
             return None, draft
         if all(group.is_liquid or group.is_carried for group in draft.groups):
             return None, draft
-        if wrong := list(obstacles(draft.scene)):
+        if wrong := self.obstacles(draft.scene):
             raise draft.scene.error(wrong)
         from .plan import plan_implicit_elasticity
 
         return plan_implicit_elasticity(draft)
 
 
-def obstacles(scene: Any) -> Iterator[tuple[tuple, str]]:
+def _is_implicit(scene: Any) -> bool:
+    """Return whether solids of a scene have an implicit elasticity."""
+    return bool((scene.accuracy.elasticity or scene.accuracy.pressure) == "implicit")
+
+
+def _unknown_parts(scene: Any) -> Iterator[tuple[tuple, str]]:
     """Yield (path of a key, message) of all that an implicit elasticity does not know."""
     message = "accuracy.elasticity = 'implicit' is not for"
     rules = {CONTACT} if scene.accuracy.pressure == "explicit" else {CONTACT, DRAG}

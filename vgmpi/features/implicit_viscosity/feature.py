@@ -9,15 +9,21 @@ from typing import Any, Literal
 from vgmpi.materials.couplings.interaction import CONTACT
 from vgmpi.runtime.config.schema import StrictModel
 from vgmpi.scene.scene_feature import SceneFeature, features
+from vgmpi.scene.step_estimates import motion_rate, viscous_rate
+
+# [-] Least ratio of the step without the bound of an explicit viscosity to that with it. Beside an
+# implicit pressure, a step takes 2.2 times as long (docs/explanation/implicit-viscosity.md).
+MIN_GAIN = 2.5
 
 
 class AccuracyKeys(StrictModel):
     """Keys that the implicit viscosity adds to [accuracy]."""
 
-    viscosity: Literal["explicit", "implicit"] = "explicit"
+    viscosity: Literal["explicit", "implicit"] | None = None
     """how the viscosity of liquids acts. explicit: by the stress of each particle; its diffusion
     bounds the step. implicit: by a system of equations of the grid that bounds no step: for scenes
-    of Newtonian liquids between walls and colliders"""
+    of Newtonian liquids between walls and colliders. By default it is implicit in those with an
+    implicit pressure whose steps become 2.5 times as long"""
 
 
 class ImplicitViscosity(SceneFeature):
@@ -25,16 +31,41 @@ class ImplicitViscosity(SceneFeature):
 
     name, title = "implicit_viscosity", "implicit viscosity"
     section_keys = {"accuracy": AccuracyKeys}
+    chosen_keys = {"viscosity": "explicit"}
     missing_engines = ("cuda", "numpy")
     precedes_copies = True
 
+    def choose_defaults(self, scene: Any) -> Any:
+        """Return a scene that names no viscosity with the better one.
+
+        Args:
+            scene: See `SceneFeature.choose_defaults`.
+        """
+        if scene.accuracy.viscosity is not None:
+            return scene
+        implicit = scene.with_defaults({"viscosity": "implicit"})
+        gain = viscous_rate(scene) / motion_rate(scene, scene.accuracy.elastic_courant_number)
+        if not scene.is_free_of_waves or gain < MIN_GAIN or obstacles(implicit):
+            return scene.with_defaults({"viscosity": "explicit"})
+        reason = f"implicit: steps are {gain:.2g} times as long as explicit ones"
+        return implicit.with_choice("viscosity", reason)
+
+    def obstacles(self, scene: Any) -> list[tuple[tuple, str]]:
+        """Return what a scene with an implicit viscosity cannot have.
+
+        Args:
+            scene: See `SceneFeature.obstacles`.
+        """
+        return obstacles(scene) if scene.accuracy.viscosity == "implicit" else []
+
     def advice_lines(self, scene: Any, plan: Any) -> list[str]:
-        """Return a line of the plan report on a scene that could well have it.
+        """Return a line of the plan report on a scene of an explicit pressure that may want it.
 
         Args:
             scene, plan: See `SceneFeature.advice_lines`.
         """
-        if "viscosity" in scene.accuracy.model_fields_set or obstacles(scene):
+        is_named = "viscosity" in scene.accuracy.model_fields_set
+        if is_named or scene.is_free_of_waves or obstacles(scene):
             return []
         from .plan import recommend_implicit_viscosity
 

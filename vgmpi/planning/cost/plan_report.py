@@ -72,7 +72,7 @@ def format_plan(
     lines += [file_size_line(scene, plan), *answers[1:]]
     lines += [f"  warning     {line}" for line in warning_lines(scene, plan)]
     lines += [f"  note        {line}" for line in note_lines(scene, plan)]
-    lines += _advice(scene, plan) + advice
+    lines += [*scene.choices, *_advice(scene, plan), *advice]
     return "\n".join(lines + (plan_details(scene, plan, pace) if details else []))
 
 

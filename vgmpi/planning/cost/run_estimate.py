@@ -2,12 +2,12 @@
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from vgmpi.planning.plan import Plan, initial_speeds, time_step_bounds
 from vgmpi.scene.scene import Scene
+from vgmpi.scene.step_estimates import expected_speed
 
 from .feature_costs import PARTICLES_PER_BLOCK, step_ns, step_overhead
 from .pilot_result import PilotRun
@@ -17,18 +17,13 @@ from .throughput import Throughput
 FRAME_SECONDS, SECONDS_PER_WRITTEN_PARTICLE = 0.025, 1e-7
 # [-] overhead of ranks, fitted on two ranks to scenes of runs/
 HALO_OVERHEAD = 2.0
-# [-] Fastest particle of a liquid over its `max_speed`, mean over a run: 0.98, 1.40, 1.40 in
-# two_liquids, driftwood and water_wheel (the steps that their runs print)
-FASTEST_LIQUID = 1.2
 PILOT_SECONDS = 20.0  # [s] largest processor time of a pilot run that is not asked for
 
 
 def expected_step(scene: Scene, plan: Plan, stiffened: bool = False) -> float:
     """Return the mean time step [s] that is expected of a run.
 
-    Where waves of a liquid do not bound the steps, its motion does: it is expected to be as fast as
-    the stiffness of the material says, `max_speed` or the speed that its depth gives, but no faster
-    than what falls through the domain.
+    Where waves of a liquid do not bound the steps, its motion does: see `expected_speed`.
 
     Args:
         scene: The scene.
@@ -38,14 +33,10 @@ def expected_step(scene: Scene, plan: Plan, stiffened: bool = False) -> float:
     if plan.time_step.fixed:
         return plan.time_step.fixed
     dt = time_step_bounds(scene, plan, stiffened)[0][0]
-    drop = sum(abs(g) * n * plan.dx for g, n in zip(plan.gravity.vector, plan.cells, strict=True))
-    fall = math.sqrt(max(initial_speeds(scene, plan)) ** 2 + 2.0 * drop) or math.inf
+    start_speed = max(initial_speeds(scene, plan))
     for group in plan.groups:
         if group.volume.separate_pressure:
-            material: Any = scene.material[group.material]
-            modulus = material.tait_coefficient * material.tait_exponent
-            expected = math.sqrt(material.max_compression * modulus / material.density)
-            speed = min(FASTEST_LIQUID * expected, fall)
+            speed = expected_speed(scene, scene.material[group.material], start_speed)
             dt = min(dt, plan.time_step.cfl * plan.dx / speed)
     return dt
 

@@ -43,6 +43,7 @@ gravity = [0, 0, 0]
 [time]
 end = 1
 [accuracy]
+pressure = "explicit"
 transfer = "apic"
 volume_correction = "none"
 precision = "{precision}"

@@ -23,6 +23,7 @@ from vgmpi.planning.plan import Plan
 from vgmpi.runtime.config.schema import SceneError
 from vgmpi.scene.loader import load_again
 from vgmpi.scene.scene import Scene
+from vgmpi.scene.scene_feature import chosen_keys
 from vgmpi.solver.compile_kernels import is_compiled
 from vgmpi.solver.initial_particles import ParticleSummary
 from vgmpi.solver.run import Runner, prepared_run
@@ -167,7 +168,8 @@ def _grids(scene: Scene) -> list[Grid]:
 
 def _coarsened(scene: Scene, grid: Grid) -> Scene:
     """Return the scene on another grid."""
-    overrides = [f"domain.cell={grid.cell!r}"]
+    overrides = [f"accuracy.{key}={getattr(scene.accuracy, key)}" for key in chosen_keys()]
+    overrides.append(f"domain.cell={grid.cell!r}")
     if grid.size != scene.domain.size:
         overrides.append(f"domain.size={list(grid.size)!r}")
     if scene.time.dt:
