@@ -4,25 +4,13 @@ import numpy as np
 import pytest
 
 import vgmpi
-from tests.features.test_implicit_pressure_rules import POST, PUBLISHED_DRAG, SAND
+from tests.features.test_implicit_pressure_rules import POST, PUBLISHED_DRAG, SAND, SCENE
 from tests.support.simulate import advance, begin, by_id
 from vgmpi.commands import cli
 from vgmpi.scene.loader import load
 from vgmpi.scene.resume_rules import with_accuracy_of_run
 
-POOL = """
-[domain]
-size = [0.4, 0.2, 0.4]
-cell = 0.02
-[time]
-end = 0.1
-[material.water]
-kind = "fluid"
-[[object]]
-name = "pool"
-material = "water"
-shape = { box = [[0, 0, 0], [0.4, 0.2, 0.1]] }
-"""
+POOL = SCENE.replace('[accuracy]\npressure = "implicit"\n', "")
 SOFT = """
 [material.gum]
 kind = "elastic"

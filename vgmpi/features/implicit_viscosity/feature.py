@@ -43,10 +43,14 @@ class ImplicitViscosity(SceneFeature):
         """
         if scene.accuracy.viscosity is not None:
             return scene
-        implicit = scene.with_defaults({"viscosity": "implicit"})
+        explicit, implicit = (
+            scene.with_defaults({"viscosity": name}) for name in ("explicit", "implicit")
+        )
+        if not scene.is_free_of_waves:
+            return explicit
         gain = viscous_rate(scene) / motion_rate(scene, scene.accuracy.elastic_courant_number)
-        if not scene.is_free_of_waves or gain < MIN_GAIN or obstacles(implicit):
-            return scene.with_defaults({"viscosity": "explicit"})
+        if gain < MIN_GAIN or obstacles(implicit):
+            return explicit
         reason = f"implicit: steps are {gain:.2g} times as long as explicit ones"
         return implicit.with_choice("viscosity", reason)
 
